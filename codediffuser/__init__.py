@@ -1,0 +1,3 @@
+"""Demonstrations, attention labels and policies for robots that follow ambiguous language."""
+
+__version__ = "0.1.0"
