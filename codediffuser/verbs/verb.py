@@ -1,0 +1,56 @@
+"""What all verbs share: options that mean the same everywhere, and how progress is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import tyro
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+T = TypeVar("T")
+
+NumEpisodes = Annotated[int, tyro.conf.arg(aliases=["-n"])]
+"""An option for how many, with the short form `-n`."""
+
+console = Console(stderr=True, highlight=False)
+"""People read stderr; stdout carries only the result, so that scripts can."""
+
+
+@dataclass(kw_only=True)
+class Verb:
+    """Options of every verb."""
+
+    debug: bool = field(default=False)
+    """Show the whole trace of an error, and debug messages."""
+
+    def run(self) -> Path | str | None:
+        """Do the work; what is returned is printed last."""
+        raise NotImplementedError
+
+
+def track(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
+    """Yield the items of a long piece of work under a progress bar on stderr."""
+    with Progress(
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=32),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+        console=console,
+    ) as progress:
+        bar = progress.add_task(what, total=total, note="")
+        for item in items:
+            progress.update(bar, advance=1, note=getattr(item, "note", ""))
+            yield item
