@@ -148,10 +148,22 @@ class SceneSpec(Document):
     @property
     def pickable(self) -> tuple[ObjectSpec, ...]:
         """Objects that move and take no place yet."""
-        return tuple(o for o in self.objects if not o.fixed and o.place is None)
+        return pickable_objects(self.objects)
 
     @property
     def free_places(self) -> tuple[PlaceSpec, ...]:
         """Places that no object takes."""
-        taken = {o.place for o in self.objects}
-        return tuple(p for p in self.places if p.id not in taken)
+        return untaken_places(self.objects, self.places)
+
+
+def pickable_objects(objects: tuple[ObjectSpec, ...]) -> tuple[ObjectSpec, ...]:
+    """Objects that move and take no place yet, in their order."""
+    return tuple(o for o in objects if not o.fixed and o.place is None)
+
+
+def untaken_places(
+    objects: tuple[ObjectSpec, ...], places: tuple[PlaceSpec, ...]
+) -> tuple[PlaceSpec, ...]:
+    """Places that no object takes, in their order."""
+    taken = {o.place for o in objects}
+    return tuple(p for p in places if p.id not in taken)

@@ -11,11 +11,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
+from pydantic import model_validator
 
-from codediffuser.datagen.scene import ObjectSpec, Pair, PlaceSpec, SceneSpec, Vector3
+from codediffuser.datagen.scene import (
+    ObjectSpec,
+    Pair,
+    PlaceSpec,
+    SceneSpec,
+    Vector3,
+    pickable_objects,
+    untaken_places,
+)
 from codediffuser.registry import Registry
 from codediffuser.schema import Document, Strict
 
@@ -65,6 +74,33 @@ class Workspace(Strict):
     high_m: Vector3
 
 
+class Observer(Strict):
+    """Whose left and right the words mean. The default stands at the robot and looks along +y."""
+
+    right: tuple[float, float] = (1.0, 0.0)
+    """Direction of "right" on the table, world x and y, unit length."""
+    front: tuple[float, float] = (0.0, -1.0)
+    """Direction of "front": toward the observer. The public release has (0, 1) here."""
+
+    @model_validator(mode="after")
+    def _unit_and_square(self) -> Self:
+        right, front = np.array(self.right), np.array(self.front)
+        lengths = [float(np.linalg.norm(v)) for v in (right, front)]
+        if abs(right @ front) > 1e-6 or max(abs(length - 1) for length in lengths) > 1e-6:
+            raise ValueError("`right` and `front` must have length 1 and a right angle between")
+        return self
+
+    @property
+    def left(self) -> tuple[float, float]:
+        """Opposite of `right`."""
+        return (-self.right[0], -self.right[1])
+
+    @property
+    def back(self) -> tuple[float, float]:
+        """Opposite of `front`."""
+        return (-self.front[0], -self.front[1])
+
+
 class TaskConfig(Document):
     """What every task's YAML holds (`schema: codediffuser.task/1`)."""
 
@@ -77,6 +113,7 @@ class TaskConfig(Document):
     cameras: CameraConfig
     robot: RobotConfig
     workspace: Workspace
+    observer: Observer = Observer()
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +122,16 @@ class Layout:
 
     objects: tuple[ObjectSpec, ...]
     places: tuple[PlaceSpec, ...]
+
+    @property
+    def pickable(self) -> tuple[ObjectSpec, ...]:
+        """Objects that move and take no place yet."""
+        return pickable_objects(self.objects)
+
+    @property
+    def free_places(self) -> tuple[PlaceSpec, ...]:
+        """Places that no object takes."""
+        return untaken_places(self.objects, self.places)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,11 +243,25 @@ class Task(ABC, Generic[C]):
         return cls.config_type.load(path or cls.config_path())  # type: ignore[return-value]
 
     @abstractmethod
-    def sample_layout(self, rng: np.random.Generator) -> Layout:
+    def sample_layout(
+        self,
+        rng: np.random.Generator,
+        *,
+        variant: str = "sim",
+        picks: int | None = None,
+        places: int | None = None,
+    ) -> Layout:
         """Draw objects and places.
+
+        Args:
+            rng: The only source of chance.
+            variant: Which ranges of the YAML to draw from.
+            picks: How many objects can be picked; None draws it.
+            places: How many places are free; None draws it.
 
         Raises:
             PlacementError: The ranges and clearances leave no room after bounded attempts.
+            ConfigError: `variant` is unknown, or `picks` or `places` is out of its range.
         """
 
     @abstractmethod

@@ -6,25 +6,38 @@ Success: the battery stands in a slot that the instruction allows, released and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import ClassVar
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar, Self
 
 import numpy as np
-import trimesh
+from pydantic import model_validator
 
-from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec, Vector3
+from codediffuser.datagen import drawing, shapes
+from codediffuser.datagen.instructions.components import (
+    Component,
+    PlaceBand,
+    PlaceByDistance,
+    by_words,
+    extremes,
+)
+from codediffuser.datagen.placement import Area, KeepOut, sample_positions
+from codediffuser.datagen.scene import ObjectSpec, Pair, PlaceSpec, SceneSpec, Vector3
 from codediffuser.datagen.task import (
     TASKS,
     Check,
     Condition,
     Geometry,
+    Layout,
     Move,
     SceneView,
     Task,
     TaskConfig,
 )
 from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.poses import make_transform, rotation_z
+from codediffuser.errors import ConfigError
+from codediffuser.poses import make_transform, matrix_to_quat_wxyz, rotation_z
+from codediffuser.registry import unknown_name
 from codediffuser.schema import Strict
 
 R_WORLD_HAND_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -69,6 +82,23 @@ class VariantConfig(Strict):
     max_redraws: int
 
 
+class LanguageConfig(Strict):
+    """How far apart things must be for words to tell them apart."""
+
+    battery_margin_m: float
+    """Between an extreme battery ("left-most") and the next one, along the direction."""
+    slot_margin_m: float
+    """Between the distances of the nearest (furthest) slot and of the next one."""
+
+
+class ResetImageConfig(Strict):
+    """How the operator's picture is drawn."""
+
+    pad_margin_m: float
+    """How far the pad reaches beyond the area of the batteries' middles."""
+    cross_spacing_m: float
+
+
 class SuccessConfig(Strict):
     """Thresholds of `check_success`."""
 
@@ -101,8 +131,24 @@ class PackBatteryConfig(TaskConfig):
     crate: CrateConfig
     battery: BatteryConfig
     variants: dict[str, VariantConfig]
+    language: LanguageConfig
+    reset_image: ResetImageConfig
     success: SuccessConfig
     script: ScriptConfig
+
+    @model_validator(mode="after")
+    def _counts_fit(self) -> Self:
+        cells = self.crate.rows * self.crate.columns
+        for name, variant in self.variants.items():
+            (least, most), (fewest, packed) = variant.waiting_count, variant.packed_count
+            if not 1 <= least <= most:
+                raise ValueError(f"variants.{name}.waiting_count: expected 1 <= low <= high")
+            if not 0 <= fewest <= packed < cells:
+                raise ValueError(
+                    f"variants.{name}.packed_count: expected 0 <= low <= high < {cells}, the "
+                    "number of slots, so that one stays free"
+                )
+        return self
 
 
 @TASKS.add("pack_battery")
@@ -114,20 +160,150 @@ class PackBattery(Task[PackBatteryConfig]):
     pick_category: ClassVar[str] = "battery"
     place_category: ClassVar[str] = "slot"
 
+    def sample_layout(
+        self,
+        rng: np.random.Generator,
+        *,
+        variant: str = "sim",
+        picks: int | None = None,
+        places: int | None = None,
+    ) -> Layout:
+        """Batteries on the table, clear of each other, and others in slots; one slot stays free."""
+        crate = self.config.crate
+        if variant not in self.config.variants:
+            raise ConfigError(unknown_name("variant", variant, list(self.config.variants)))
+        ranges = self.config.variants[variant]
+        slots = self._slots()
+        low, high = ranges.packed_count
+        waiting = _count(rng, ranges.waiting_count, picks, "picks: waiting batteries")
+        free_range = (len(slots) - high, len(slots) - low)
+        packed = len(slots) - _count(rng, free_range, places, "places: free slots")
+        footprint = [
+            (center - size / 2, center + size / 2)
+            for center, size in zip(crate.position_m[:2], crate.size_m[:2], strict=True)
+        ]
+        area = Area(
+            ranges.area_x_m, ranges.area_y_m, ranges.min_distance_m, ranges.max_tries,
+            ranges.max_redraws, (KeepOut("the crate", *footprint),), self.config.battery.radius_m,
+        )  # fmt: skip
+        spots = sample_positions(
+            rng, waiting, area, keys=f"variants.{variant}", what="waiting batteries"
+        )
+        taken = [slots[i] for i in sorted(rng.choice(len(slots), size=packed, replace=False))]
+        standing = [((float(x), float(y), 0.0), None) for x, y in spots]
+        standing += [(slot.position_m, slot.id) for slot in taken]
+        objects = [self._battery(rng, i, *spot) for i, spot in enumerate(standing)]
+        crate_body = ObjectSpec(
+            id="crate", category="crate", name="crate", position_m=crate.position_m,
+            color_rgb=crate.color_rgb, fixed=True,
+        )  # fmt: skip
+        return Layout((*objects, crate_body), slots)
+
+    def _slots(self) -> tuple[PlaceSpec, ...]:
+        crate = self.config.crate
+        height = crate.size_m[2]
+        region = (crate.pitch_m, crate.pitch_m, height)
+        slots = []
+        for index in range(crate.rows * crate.columns):
+            x, y, z = slot_center_m(crate, index)
+            slots.append(
+                PlaceSpec(
+                    id=f"slot_{index:02d}",
+                    category="slot",
+                    position_m=(x, y, z),
+                    size_m=region,
+                    center_m=(x, y, crate.position_m[2] + height / 2),
+                )
+            )
+        return tuple(slots)
+
+    def _battery(
+        self, rng: np.random.Generator, number: int, position_m: Vector3, place: str | None
+    ) -> ObjectSpec:
+        colors = self.config.battery.colors
+        color = sorted(colors)[rng.integers(len(colors))]
+        w, x, y, z = matrix_to_quat_wxyz(rotation_z(rng.uniform(-np.pi, np.pi)))
+        return ObjectSpec(
+            id=f"battery_{number}", category="battery", name=f"{color} battery",
+            position_m=position_m, quat_wxyz=(float(w), float(x), float(y), float(z)),
+            color_rgb=colors[color], place=place,
+        )  # fmt: skip
+
+    def components(self) -> Mapping[str, Component]:
+        """Extreme batteries among those that wait; rows and columns of the crate; near and far."""
+        return self._components
+
+    @functools.cached_property
+    def _components(self) -> dict[str, Component]:
+        side, margins = self.config.observer, self.config.language
+        half = self.config.crate.pitch_m / 2
+        directions = [
+            ("left-most", side.left),
+            ("right-most", side.right),
+            ("front-most", side.front),
+            ("back-most", side.back),
+        ]
+        return by_words(
+            [
+                *extremes("battery", directions, margins.battery_margin_m),
+                PlaceByDistance("furthest slot", "slot", "furthest", margins.slot_margin_m),
+                PlaceByDistance("nearest slot", "slot", "nearest", margins.slot_margin_m),
+                PlaceBand("slot on the front-most row", "slot", side.front, "first", half),
+                PlaceBand("slot on the middle row", "slot", side.front, "inner", half),
+                PlaceBand("slot on the back-most row", "slot", side.back, "first", half),
+                PlaceBand("slot on left column", "slot", side.left, "first", half),
+                PlaceBand("slot on the middle columns", "slot", side.left, "inner", half),
+                PlaceBand("slot on the right column", "slot", side.right, "first", half),
+            ]
+        )
+
+    def draw_reset(self, scene: SceneSpec) -> drawing.Drawing:
+        """Crate and pad from above, the robot at the bottom; the target pair in green."""
+        crate, picture = self.config.crate, self.config.reset_image
+        ranges, radius = self.config.variants[scene.variant], self.config.battery.radius_m
+        margin = picture.pad_margin_m
+        pad_low = (ranges.area_x_m[0] - margin, ranges.area_y_m[0] - margin)
+        pad_high = (ranges.area_x_m[1] + margin, ranges.area_y_m[1] + margin)
+        middle, size = crate.position_m[:2], crate.size_m[:2]
+        slot_m = scene.place(scene.target.place).position_m[:2]
+        painted = [
+            *drawing.grid_of_cells(
+                middle, size, crate.rows, crate.columns, crate.pitch_m, crate.wall_m
+            ),
+            *drawing.pad_with_crosses(pad_low, pad_high, picture.cross_spacing_m),
+            drawing.cell(slot_m, crate.pitch_m, crate.wall_m, drawing.TARGET_TINT),
+            drawing.Disc(slot_m, radius, None, drawing.TARGET_EDGE, dashed=True),
+        ]
+        for battery in (o for o in scene.objects if o.category == "battery"):
+            at, target = battery.position_m[:2], battery.id == scene.target.pick
+            painted.append(drawing.thing(at, radius, target=target))
+        pick_m = scene.object(scene.target.pick).position_m[:2]
+        painted.append(drawing.arrow_between(pick_m, radius, slot_m, radius))
+        return drawing.reset_drawing(
+            scene, painted,
+            low_m=(min(pad_low[0], middle[0] - size[0] / 2), pad_low[1]),
+            high_m=(max(pad_high[0], middle[0] + size[0] / 2), middle[1] + size[1] / 2),
+            notes=(
+                f"{scene.ambiguity.picks} on the pad",
+                f"{len(scene.places) - scene.ambiguity.places} in the crate",
+            ),
+        )  # fmt: skip
+
     def geometry(self, obj: ObjectSpec) -> Geometry:
         """Crate: floor and tapered walls. Battery: a bevelled cylinder standing on its origin."""
+        crate, battery = self.config.crate, self.config.battery
         if obj.category == "crate":
-            parts = crate_parts(self.config.crate)
-            return Geometry(visual=trimesh.util.concatenate(parts), collision=tuple(parts))
-        battery = self.config.battery
-        body = battery_body(battery)
-        nub = trimesh.creation.cylinder(
-            radius=battery.radius_m / 3, height=0.002, sections=12,
-            transform=make_transform(np.eye(3), np.array([0, 0, battery.height_m + 0.001])),
-        )  # fmt: skip
+            parts = shapes.crate_parts(
+                crate.size_m, rows=crate.rows, columns=crate.columns, pitch_m=crate.pitch_m,
+                wall_m=crate.wall_m, floor_m=crate.floor_m,
+                taper_height_m=crate.taper_height_m, taper_top_m=crate.taper_top_m,
+            )  # fmt: skip
+            return Geometry(visual=shapes.join(parts), collision=tuple(parts))
+        body = shapes.bevelled_cylinder(battery.radius_m, battery.height_m, battery.bevel_m)
+        nub = shapes.cylinder(battery.radius_m / 3, battery.height_m, 0.002)
         waiting = obj.place is None
         return Geometry(
-            visual=trimesh.util.concatenate([body, nub]),
+            visual=shapes.join([body, nub]),
             collision=(body,),
             density_kgm3=battery.waiting_density_kgm3 if waiting else battery.packed_density_kgm3,
         )
@@ -195,7 +371,7 @@ class PackBattery(Task[PackBatteryConfig]):
         )
 
     def failure_phase(self, scene: SceneSpec, trajectory: Trajectory, pairs: Sequence[Pair]) -> str:
-        """Phase and what happened in it: `grasp:missed`, `transport:dropped`, `place:on_rim`, ..."""
+        """Phase and what happened in it: `grasp:missed`, `transport:dropped`, `place:on_rim`."""
         limits = self.config.success
         positions = trajectory.object_position_m
         rise = (positions[:, :, 2] - positions[0, :, 2]).max(axis=0)
@@ -232,50 +408,11 @@ def slot_center_m(crate: CrateConfig, index: int) -> Vector3:
     return (x, y, crate.position_m[2] + crate.floor_m)
 
 
-def battery_body(battery: BatteryConfig, sections: int = 24) -> trimesh.Trimesh:
-    """Convex cylinder along +z from z = 0, both edges bevelled."""
-    angle = np.linspace(0, 2 * np.pi, sections, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    r, h, b = battery.radius_m, battery.height_m, battery.bevel_m
-    rings = [(r - b, 0.0), (r, b), (r, h - b), (r - b, h)]
-    points = [np.column_stack([circle * radius, np.full(sections, z)]) for radius, z in rings]
-    return trimesh.convex.convex_hull(np.concatenate(points))
-
-
-def crate_parts(crate: CrateConfig) -> list[trimesh.Trimesh]:
-    """Convex parts of the crate, origin at the middle of its underside: floor, then walls."""
-    size_x, size_y, height = crate.size_m
-    floor = trimesh.creation.box(
-        bounds=[[-size_x / 2, -size_y / 2, 0], [size_x / 2, size_y / 2, crate.floor_m]]
-    )
-    parts = [floor]
-    for axis, count, across, along in (
-        (0, crate.columns, size_x, size_y),
-        (1, crate.rows, size_y, size_x),
-    ):
-        lines = (np.arange(count + 1) - count / 2) * crate.pitch_m
-        half, top = crate.wall_m / 2, crate.taper_top_m / 2
-        for i, line in enumerate(lines):
-            low, high = (line - half, line + half)
-            low_top, high_top = (line - top, line + top)
-            if i == 0:
-                low = low_top = -across / 2
-            if i == count:
-                high = high_top = across / 2
-            parts.append(
-                _wall((low, high), (low_top, high_top), along, height, crate.taper_height_m, axis)
-            )
-    return parts
-
-
-def _wall(
-    bottom: tuple[float, float], top: tuple[float, float], length: float, height: float,
-    taper: float, axis: int,
-) -> trimesh.Trimesh:  # fmt: skip
-    """A wall across `axis` (0 x, 1 y): full width up to the taper, then narrowing to `top`."""
-    corners = []
-    for (low, high), z in ((bottom, 0.0), (bottom, height - taper), (top, height)):
-        for across in (low, high):
-            for along in (-length / 2, length / 2):
-                corners.append((across, along, z) if axis == 0 else (along, across, z))
-    return trimesh.convex.convex_hull(np.array(corners))
+def _count(rng: np.random.Generator, limits: tuple[int, int], asked: int | None, what: str) -> int:
+    """The number that was asked for, checked, or one drawn evenly from low to high."""
+    low, high = limits
+    if asked is None:
+        return int(rng.integers(low, high + 1))
+    if not low <= asked <= high:
+        raise ConfigError(f"{what}: expected {low} to {high}, got {asked}")
+    return asked

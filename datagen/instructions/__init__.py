@@ -1,0 +1,1 @@
+"""Ambiguous instructions: descriptive phrases, sentence templates, and the pairs they allow."""
