@@ -1,0 +1,332 @@
+"""Reads episode folders lazily: the manifest, the poses, and one frame at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from rosbags.serde import SerdeError
+
+from codediffuser.datagen import episode_format as fmt
+from codediffuser.datagen import ros_messages as ros
+from codediffuser.datagen.episode_format import Camera, EpisodeManifest
+from codediffuser.datagen.episode_writer import step_time_ns
+from codediffuser.datagen.scene import SceneSpec
+from codediffuser.datagen.trajectory import Trajectory
+from codediffuser.errors import ConfigError, EpisodeError, SchemaVersionError
+from codediffuser.files import TEMPORARY_PREFIX, sha256_file
+from codediffuser.poses import matrix_to_rot6d
+
+# All that the libraries below raise on damaged bytes.
+_READ_ERRORS = (
+    McapError, SerdeError, zstandard.ZstdError, struct.error, ValueError, KeyError, OSError,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What the cameras saw at one control step, before its action."""
+
+    index: int
+    time_s: float
+    rgb: dict[str, np.ndarray]
+    """(H, W, 3) uint8 by camera; empty when colour was not asked for."""
+    depth_m: dict[str, np.ndarray]
+    """(H, W) float32 by camera, along the optical axis, 0 for no reading; empty when not asked."""
+
+
+class Episode:
+    """One episode folder. Build it with `Episode.open`.
+
+    It holds no open file: every read opens the log, so an episode can be shared and pickled.
+    """
+
+    def __init__(self, folder: Path, manifest: EpisodeManifest) -> None:
+        self.folder = folder
+        self.manifest = manifest
+
+    @classmethod
+    def open(cls, folder: Path, *, verify: bool = False) -> Episode:
+        """Open an episode and check that its files are all there.
+
+        Args:
+            folder: `RUN/episodes/<id>`.
+            verify: Also compare every file with its recorded hash, which reads all bytes.
+
+        Raises:
+            EpisodeError: A file is missing, has another size, or another hash.
+        """
+        manifest = load_manifest(folder)
+        episode = cls(folder, manifest)
+        for name, record in manifest.files.items():
+            path = folder / name
+            size = path.stat().st_size if path.is_file() else None
+            if size != record.bytes:
+                found = "no file" if size is None else f"{size} bytes"
+                raise EpisodeError(
+                    f"{path}: expected {record.bytes} bytes, found {found}; {episode.remedy}"
+                )
+            if verify and sha256_file(path) != record.sha256:
+                raise EpisodeError(
+                    f"{path}: its content is not what was written (SHA-256 differs from "
+                    f"{fmt.MANIFEST}); {episode.remedy}"
+                )
+        return episode
+
+    @property
+    def id(self) -> str:
+        """Id of the episode; for a simulated one, that of its scene."""
+        return self.manifest.id
+
+    @property
+    def num_frames(self) -> int:
+        """T: observations, each followed by one action."""
+        return self.manifest.frames
+
+    @property
+    def hz(self) -> int:
+        """Frames per second."""
+        return self.manifest.hz
+
+    @property
+    def log_path(self) -> Path:
+        """The MCAP file."""
+        return self.folder / fmt.LOG
+
+    @property
+    def remedy(self) -> str:
+        """What to do when the folder is damaged."""
+        verb = "demo" if self.manifest.source == "simulation" else "import"
+        return f"delete the folder {self.folder} and run {verb} again"
+
+    @functools.cached_property
+    def scene(self) -> SceneSpec:
+        """The configuration that was reset to; `EpisodeError` when none was stored."""
+        if fmt.SCENE not in self.manifest.files:
+            raise EpisodeError(
+                f"{self.folder}: a {self.manifest.source} episode without scene file"
+            )
+        return SceneSpec.load(self.folder / fmt.SCENE)
+
+    @functools.cached_property
+    def trajectory(self) -> Trajectory:
+        """Simulator states; `EpisodeError` when none were stored, as for a real recording."""
+        if fmt.STATES not in self.manifest.files:
+            raise EpisodeError(
+                f"{self.folder}: a {self.manifest.source} episode without simulator states"
+            )
+        return Trajectory.load(self.folder / fmt.STATES)
+
+    @functools.cached_property
+    def cameras(self) -> dict[str, Camera]:
+        """Calibrated cameras by name, in the order of the manifest."""
+        names = [c.name for c in self.manifest.cameras]
+        infos, poses = {}, {}
+        with self._reading():
+            topics = [fmt.TF_STATIC, *(fmt.info_topic(n) for n in names)]
+            for topic, data in self._messages(topics, 0, 1):
+                if topic == fmt.TF_STATIC:
+                    poses.update(ros.decode_static_transforms(data))
+                else:
+                    infos[topic] = ros.decode_camera_info(data)
+            cameras = {}
+            for name in names:
+                K, width, height = infos[fmt.info_topic(name)]
+                cameras[name] = Camera(K, poses[fmt.optical_frame(name)], width, height)
+        return cameras
+
+    @functools.cached_property
+    def _low_dim(self) -> tuple[np.ndarray, np.ndarray]:
+        """State and actions, both (T, 10) float32, from one pass over the log."""
+        hand, command = [], []
+        opening, gripper = [], []
+        with self._reading():
+            for topic, data in self._messages(fmt.STEP_TOPICS, 0, self.num_frames):
+                if topic == fmt.HAND_POSE:
+                    hand.append(_pose_row(ros.decode_pose(data)))
+                elif topic == fmt.COMMAND_POSE:
+                    command.append(_pose_row(ros.decode_pose(data)))
+                elif topic == fmt.JOINT_STATES:
+                    opening.append(_finger_opening(*ros.decode_joint_state(data)[:2]))
+                else:
+                    gripper.append(ros.decode_float(data))
+        lengths = {len(hand), len(opening), len(command), len(gripper)}
+        if lengths != {self.num_frames}:
+            raise EpisodeError(
+                f"{self.log_path}: expected {self.num_frames} messages of each of "
+                f"{', '.join(fmt.STEP_TOPICS)}, got {sorted(lengths)}; {self.remedy}"
+            )
+        state = np.column_stack([np.array(hand), opening]).astype(np.float32)
+        actions = np.column_stack([np.array(command), gripper]).astype(np.float32)
+        return state, actions
+
+    @property
+    def state(self) -> np.ndarray:
+        """(T, 10) float32: measured hand pose (xyz m, rotation-6D) and mean finger opening, m."""
+        return self._low_dim[0]
+
+    @property
+    def actions(self) -> np.ndarray:
+        """(T, 10) float32: commanded hand pose and finger opening; action k follows frame k."""
+        return self._low_dim[1]
+
+    def frame(
+        self,
+        k: int,
+        cameras: Sequence[str] | None = None,
+        *,
+        color: bool = True,
+        depth: bool = True,
+    ) -> Frame:
+        """Read one frame through the log's index.
+
+        Args:
+            k: Number of the frame; negative counts from the end.
+            cameras: Which cameras; None for all.
+            color: Whether to read colour.
+            depth: Whether to read depth.
+
+        Raises:
+            EpisodeError: No such frame or camera, or the log is damaged.
+        """
+        index = k + self.num_frames if k < 0 else k
+        if not 0 <= index < self.num_frames:
+            raise EpisodeError(f"{self.folder}: no frame {k}; it has {self.num_frames} frames")
+        return next(self.frames(cameras, index, index + 1, color=color, depth=depth))
+
+    def frames(
+        self,
+        cameras: Sequence[str] | None = None,
+        start: int = 0,
+        stop: int | None = None,
+        *,
+        color: bool = True,
+        depth: bool = True,
+    ) -> Iterator[Frame]:
+        """Stream frames in time order; memory does not grow with the episode.
+
+        Args:
+            cameras: Which cameras; None for all.
+            start: First frame.
+            stop: Frame to stop before; None for the end.
+            color: Whether to read colour.
+            depth: Whether to read depth.
+
+        Raises:
+            EpisodeError: No such camera, a picture is missing, or the log is damaged.
+        """
+        names = self._camera_names(cameras)
+        stop = self.num_frames if stop is None else min(stop, self.num_frames)
+        color_topics = {fmt.color_topic(n): n for n in names} if color else {}
+        depth_topics = {fmt.depth_topic(n): n for n in names} if depth else {}
+        wanted = len(color_topics) + len(depth_topics)
+        if not wanted:
+            yield from (self._empty_frame(k) for k in range(start, stop))
+            return
+        with self._reading():
+            messages = self._messages([*color_topics, *depth_topics], start, stop)
+            for k in range(start, stop):
+                frame = self._empty_frame(k)
+                for _ in range(wanted):
+                    topic, data = next(messages, ("", b""))
+                    if topic in color_topics:
+                        frame.rgb[color_topics[topic]] = ros.decode_color(data)
+                    elif topic in depth_topics:
+                        depth_mm = ros.decode_depth(data)
+                        frame.depth_m[depth_topics[topic]] = depth_mm / np.float32(1000)
+                if len(frame.rgb) != len(color_topics) or len(frame.depth_m) != len(depth_topics):
+                    raise EpisodeError(f"frame {k} lacks a picture")
+                yield frame
+
+    def _empty_frame(self, k: int) -> Frame:
+        return Frame(k, k / self.hz, {}, {})
+
+    def _camera_names(self, cameras: Sequence[str] | None) -> list[str]:
+        known = [c.name for c in self.manifest.cameras]
+        for name in cameras or ():
+            if name not in known:
+                raise EpisodeError(f"{self.folder}: no camera '{name}'; it has {', '.join(known)}")
+        return known if cameras is None else list(cameras)
+
+    def _messages(
+        self, topics: Sequence[str], start: int, stop: int
+    ) -> Iterator[tuple[str, bytes]]:
+        """Topic and content of the messages of frames start <= k < stop, in time order."""
+        with self.log_path.open("rb") as stream:
+            messages = make_reader(stream, validate_crcs=True).iter_messages(
+                topics=topics,
+                starting_at=step_time_ns(start, self.hz),
+                ending_before=step_time_ns(max(start, stop), self.hz),
+            )
+            for _, channel, message in messages:
+                yield channel.topic, message.data
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Turn whatever damaged bytes lead to into one `EpisodeError`."""
+        try:
+            yield
+        except EpisodeError as error:
+            if str(self.folder) in str(error):
+                raise
+            raise EpisodeError(f"{self.log_path}: {error}; {self.remedy}") from None
+        except _READ_ERRORS as error:
+            size = self.log_path.stat().st_size if self.log_path.is_file() else 0
+            raise EpisodeError(
+                f"{self.log_path}: cannot be read ({type(error).__name__}: {error}); expected "
+                f"{self.manifest.files[fmt.LOG].bytes} bytes, found {size}; {self.remedy}"
+            ) from error
+
+
+def list_episodes(run: Path) -> list[Path]:
+    """Folders of all episodes of a run, sorted by id; none when there are none yet."""
+    return sorted(
+        path
+        for path in (run / fmt.EPISODES).glob("*")
+        if not path.name.startswith(TEMPORARY_PREFIX) and (path / fmt.MANIFEST).is_file()
+    )
+
+
+def load_manifest(folder: Path) -> EpisodeManifest:
+    """Read `episode.json` of a folder.
+
+    Raises:
+        EpisodeError: The folder or its manifest is missing or damaged.
+        SchemaVersionError: The manifest was written by a newer codediffuser.
+    """
+    path = folder / fmt.MANIFEST
+    if not path.is_file():
+        raise EpisodeError(
+            f"{folder}: no episode here, {fmt.MANIFEST} is missing; expected a folder "
+            f"RUN/{fmt.EPISODES}/<id> that demo or import has written"
+        )
+    try:
+        manifest = EpisodeManifest.load(path)
+    except SchemaVersionError:
+        raise
+    except ConfigError as error:
+        raise EpisodeError(f"{error}; delete the folder {folder} and make it again") from None
+    if fmt.LOG not in manifest.files:
+        raise EpisodeError(
+            f"{path}: lists no {fmt.LOG}; delete the folder {folder} and make it again"
+        )
+    return manifest
+
+
+def _pose_row(T_world_hand: np.ndarray) -> np.ndarray:
+    return np.concatenate([T_world_hand[:3, 3], matrix_to_rot6d(T_world_hand[:3, :3])])
+
+
+def _finger_opening(names: tuple[str, ...], qpos: np.ndarray) -> float:
+    fingers = [i for i, name in enumerate(names) if "finger" in name]
+    if not fingers:
+        raise EpisodeError(f"joint states name no finger joint: {', '.join(names)}")
+    return float(qpos[fingers].mean())

@@ -1,0 +1,158 @@
+"""Builders with defaults, so that a test states only what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from codediffuser.datagen.scene import (
+    Ambiguity,
+    InstructionSpec,
+    ObjectSpec,
+    PlaceSpec,
+    SceneSpec,
+    SeedKey,
+    Target,
+)
+from codediffuser.datagen.trajectory import Trajectory
+
+
+@pytest.fixture
+def small_scene() -> SceneSpec:
+    """One waiting battery, two free slots; not drawn by the sampler."""
+    return SceneSpec(
+        task="pack_battery",
+        scene_id="000042",
+        seed=SeedKey(root=0, stage="SCENE", index=42, attempt=0),
+        objects=(
+            ObjectSpec(
+                id="crate", category="crate", name="crate", position_m=(-0.01, 0.18, 0.0),
+                color_rgb=(0.4, 0.4, 0.4), fixed=True,
+            ),
+            ObjectSpec(
+                id="battery_0", category="battery", name="green battery",
+                position_m=(0.0, 0.0, 0.0), color_rgb=(0.2, 0.5, 0.2),
+            ),
+        ),
+        places=tuple(
+            PlaceSpec(
+                id=f"slot_{i}", category="slot", position_m=(0.02 - 0.042 * i, 0.18, 0.005),
+                size_m=(0.042, 0.042, 0.05), center_m=(0.02 - 0.042 * i, 0.18, 0.03),
+            )
+            for i in range(2)
+        ),
+        target=Target(pick="battery_0", place="slot_0"),
+        ambiguity=Ambiguity(picks=1, places=2),
+        instruction=InstructionSpec(
+            text="Put the battery in the right slot.", kind="no_slackness",
+            template_id="pack_battery/no_slackness/0", components={},
+            pairs=(("battery_0", "slot_0"),),
+        ),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def make_trajectory() -> Callable[..., Trajectory]:
+    """Random but lawful motion: unit quaternions, valid rotation-6D."""
+
+    def make(num_steps: int = 4, seed: int = 0) -> Trajectory:
+        from codediffuser.poses import matrix_to_rot6d, quat_wxyz_to_matrix
+
+        rng = np.random.default_rng(seed)
+        moments = num_steps + 1
+
+        def quats(*shape: int) -> np.ndarray:
+            q = rng.normal(size=(*shape, 4))
+            return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+        actions = np.column_stack([
+            rng.uniform(-0.3, 0.3, (num_steps, 3)),
+            matrix_to_rot6d(quat_wxyz_to_matrix(quats(num_steps))),
+            rng.uniform(0, 0.04, num_steps),
+        ])  # fmt: skip
+        return Trajectory(
+            object_ids=("battery_0",),
+            object_position_m=rng.normal(size=(moments, 1, 3)),
+            object_quat_wxyz=quats(moments, 1),
+            object_velocity=np.zeros((moments, 1, 6)),
+            qpos=rng.uniform(0, 0.04, (moments, 9)),
+            qvel=rng.normal(size=(moments, 9)),
+            hand_position_m=rng.normal(size=(moments, 3)),
+            hand_quat_wxyz=quats(moments),
+            actions=actions.astype(np.float32),
+        )
+
+    return make
+
+
+@pytest.fixture
+def write_synthetic_episode(
+    small_scene: SceneSpec, make_trajectory: Callable[..., Trajectory]
+) -> Callable[..., tuple[Path, Trajectory, list[Any]]]:
+    """Write an episode with two small cameras and made-up pictures; no simulator.
+
+    The function returns the folder, its trajectory and the pictures of each step.
+    """
+
+    def write(
+        run: Path, episode_id: str = "000042", num_steps: int = 4, **options: Any
+    ) -> tuple[Path, Trajectory, list[Any]]:
+        from codediffuser.datagen.episode_format import Camera, ConditionRecord
+        from codediffuser.datagen.episode_writer import (
+            EpisodeFacts,
+            Pictures,
+            trajectory_steps,
+            write_episode,
+        )
+        from codediffuser.poses import pose_to_transform
+
+        rng = np.random.default_rng(int(episode_id))
+        height, width = 24, 32
+        K = np.array([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]])
+        cameras = {
+            name: Camera(
+                K, pose_to_transform(rng.normal(size=3), rng.normal(size=4)), width, height
+            )
+            for name in ("left", "right")
+        }
+        smooth = np.linspace(0, 255, width)[None, :, None] * np.ones((height, 1, 3))
+        pictures = [
+            Pictures(
+                rgb={n: np.roll(smooth, k, 1).astype(np.uint8) for n in cameras},
+                depth_mm={
+                    n: rng.integers(0, 2000, (height, width)).astype(np.uint16) for n in cameras
+                },
+            )
+            for k in range(num_steps)
+        ]
+        scene = small_scene.model_copy(update={"scene_id": episode_id})
+        scene_file = run / "scenes" / f"{episode_id}.yaml"
+        scene.save(scene_file)
+        trajectory = make_trajectory(num_steps, seed=int(episode_id))
+        folder = run / "episodes" / episode_id
+        write_episode(
+            folder,
+            EpisodeFacts(
+                id=episode_id,
+                task=scene.task,
+                source="simulation",
+                instruction=scene.instruction.text,
+                success=True,
+                seed=scene.seed,
+                conditions=(
+                    ConditionRecord(name="upright", value=1.0, threshold=0.99, holds=True),
+                ),
+            ),
+            cameras,
+            trajectory_steps(trajectory, pictures),
+            scene_file=scene_file,
+            trajectory=trajectory,
+            **options,
+        )
+        return folder, trajectory, pictures
+
+    return write
