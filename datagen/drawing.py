@@ -1,18 +1,20 @@
 """Flat pictures as plain data: shapes in metres seen from above, with no plotting library behind.
 
-The world's x runs to the right of the page, or as the task turns it; a renderer such as
-`reset_image.py` makes pixels of it.
+World x runs to the right of the page and y up; `reset_image.py` makes pixels of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from codediffuser.datagen.scene import SceneSpec
+
+if TYPE_CHECKING:
+    from codediffuser.datagen.task import Observer
 
 Point = tuple[float, float]
 """World x and y, metres."""
@@ -155,11 +157,12 @@ def pad_with_crosses(low_m: Point, high_m: Point, spacing_m: float) -> list[Shap
         for low, high in zip(low_m, high_m, strict=True)
     )
     shapes += [Cross((float(x), float(y)), spacing_m / 5) for y in ys for x in xs]
-    gap = spacing_m / 6
+    gap = spacing_m / 5
     for x in xs:
-        shapes.append(Text((float(x), low_m[1] - gap), _cm(float(x)), 7, FAINT))
+        shapes.append(Text((float(x), low_m[1] - gap), _cm(float(x)), 8, FAINT))
     for y in ys:
-        shapes.append(Text((low_m[0] - gap, float(y)), _cm(float(y)), 7, FAINT, align="right"))
+        shapes.append(Text((low_m[0] - gap, float(y)), _cm(float(y)), 8, FAINT))
+    shapes.append(Text((low_m[0] - gap, low_m[1] - gap), "cm", 8, FAINT))
     return shapes
 
 
@@ -180,32 +183,39 @@ def arrow_between(
 
 
 def reset_drawing(
-    scene: SceneSpec,
-    shapes: Sequence[Shape],
-    *,
-    low_m: Point,
-    high_m: Point,
-    notes: tuple[str, ...],
-) -> Drawing:
+    scene: SceneSpec, shapes: Sequence[Shape], observer: Observer, *,
+    low_m: Point, high_m: Point, notes: tuple[str, ...],
+) -> Drawing:  # fmt: skip
     """Frame shapes as the picture to reset a scene by: its number, its sentence, the four sides.
 
-    The page always shows the world with +y up and the robot below, so the sides are named for the
-    operator at the robot, whatever observer the words of the task have.
+    The page shows the table from above with +y up and the robot below. Its sides carry the words
+    that instructions use, so that picture and sentence never disagree.
     """
     return Drawing(
         title=f"Episode {int(scene.scene_id)}",
         notes=(scene.task, *notes),
         sentence=scene.instruction.text,
         sides=Sides(
-            top="back",
-            bottom="front  ·  the robot, and you, stand here",
-            left="left",
-            right="right",
+            top=_spoken(observer, (0, 1)),
+            bottom=f"{_spoken(observer, (0, -1))}  ·  the robot, and you, stand here",
+            left=_spoken(observer, (-1, 0)),
+            right=_spoken(observer, (1, 0)),
         ),
         low_m=(low_m[0] - BORDER_M, low_m[1] - BORDER_M),
         high_m=(high_m[0] + BORDER_M, high_m[1] + BORDER_M),
         shapes=tuple(shapes),
     )
+
+
+def _spoken(observer: Observer, direction: Point) -> str:
+    """The word of the four that comes nearest to a world direction."""
+    words = {
+        "left": observer.left,
+        "right": observer.right,
+        "front": observer.front,
+        "back": observer.back,
+    }
+    return max(words, key=lambda word: float(np.dot(words[word], direction)))
 
 
 def _cm(value_m: float) -> str:

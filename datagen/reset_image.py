@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from codediffuser.datagen.drawing import (
     FAINT,
     INK,
-    TARGET_EDGE,
     Arrow,
     Box,
     Cross,
@@ -24,10 +23,10 @@ from codediffuser.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WIDTH_IN, DPI = 6.0, 150
-MARGIN_IN = 0.45
-HEADER_IN, LINE_IN = 0.80, 0.24
-WRAP_CHARACTERS = 68
+WIDTH_IN, DPI = 6.0, 140
+MARGIN_IN = 0.42
+HEADER_IN, LINE_IN = 0.52, 0.22
+WRAP_CHARACTERS = 66
 STYLE = {"font.family": "DejaVu Sans", "svg.hashsalt": "", "text.usetex": False}
 """The font that ships with matplotlib, so that pictures are alike on every machine."""
 
@@ -116,19 +115,23 @@ def _write_header(figure: Any, drawing: Drawing, lines: list[str], total: float)
     left = MARGIN_IN / WIDTH_IN
     top = 1 - 0.30 / total
     figure.text(left, top, drawing.title, fontsize=15, weight="bold", color=INK, va="center")
-    notes = "   ".join(drawing.notes)
+    notes = "  ·  ".join(drawing.notes)
     figure.text(1 - left, top, notes, fontsize=8.5, color=FAINT, va="center", ha="right")
     for i, line in enumerate(lines):
-        y = 1 - (0.62 + LINE_IN * i) / total
-        figure.text(left, y, line, fontsize=10.5, color=TARGET_EDGE, va="center")
+        y = 1 - (0.60 + LINE_IN * i) / total
+        figure.text(left, y, line, fontsize=10.5, color=INK, va="center")
 
 
 def _write_sides(figure: Any, drawing: Drawing, total: float, height: float) -> None:
     middle = (MARGIN_IN + height / 2) / total
     edge = MARGIN_IN / 2
-    style: dict[str, Any] = {"fontsize": 9, "color": INK, "ha": "center", "va": "center"}
+    style: dict[str, Any] = {
+        "fontsize": 9, "weight": "bold", "color": INK, "ha": "center", "va": "center",
+    }  # fmt: skip
     sides = drawing.sides
-    figure.text(0.5, edge / total, sides.bottom, **style)
+    # A dark bar stands for the robot: nobody should turn the page the wrong way round.
+    bar: dict[str, Any] = {"boxstyle": "round,pad=0.45", "facecolor": INK, "edgecolor": "none"}
+    figure.text(0.5, edge / total, sides.bottom, **{**style, "color": "white"}, bbox=bar)
     figure.text(0.5, (MARGIN_IN + height + edge / 2) / total, sides.top, **style)
     figure.text(edge / WIDTH_IN, middle, sides.left, rotation=90, **style)
     figure.text(1 - edge / WIDTH_IN, middle, sides.right, rotation=270, **style)

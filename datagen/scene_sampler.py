@@ -159,35 +159,31 @@ def _write_scene(
     if path.exists() and not overwrite:
         scene = SceneSpec.load(path)
         _check_same_run(scene, draw, path)
-        if picture.exists():
-            return path
     else:
+        # The picture goes first and comes back last: one that is there belongs to its YAML.
+        picture.unlink(missing_ok=True)
         scene = draw(index=index)
-    save_png(task.draw_reset(scene), picture)
-    scene.save(path)
+        scene.save(path)
+    if not picture.exists():
+        save_png(task.draw_reset(scene), picture)
     return path
 
 
 def _check_same_run(scene: SceneSpec, draw: functools.partial[SceneSpec], path: Path) -> None:
     """Refuse to mix scenes that were drawn by other settings into a run."""
-    asked, task = draw.keywords, draw.args[0]
-    expected = {
-        "task": task.name,
-        "seed": asked["root_seed"],
-        "stage": asked["stage"].name,
-        "variant": asked["variant"],
-        "split": asked["split"],
+    asked = draw.keywords
+    settings = {
+        "task": (draw.args[0].name, scene.task),
+        "seed": (asked["root_seed"], scene.seed.root),
+        "stage": (asked["stage"].name, scene.seed.stage),
+        "variant": (asked["variant"], scene.variant),
+        "split": (asked["split"], scene.split),
+        "picks": (asked["picks"], scene.ambiguity.picks),
+        "places": (asked["places"], scene.ambiguity.places),
     }
-    found = {
-        "task": scene.task,
-        "seed": scene.seed.root,
-        "stage": scene.seed.stage,
-        "variant": scene.variant,
-        "split": scene.split,
-    }
-    for key, value in expected.items():
-        if found[key] != value:
+    for key, (expected, found) in settings.items():
+        if expected is not None and expected != found:
             raise ConfigError(
-                f"{path}: holds a scene with {key} {found[key]}, expected {value}; choose another "
-                f"--out, or --overwrite"
+                f"{path}: holds a scene with {key} {found}, expected {expected}; choose another "
+                "--out, or --overwrite"
             )

@@ -1,18 +1,17 @@
-"""Words for a scene: choose a sentence that includes the target, and list every pair it allows.
+"""Words for a scene: choose a sentence that includes the target, and check one by rule.
 
-The law of the whole module: an instruction allows exactly the pairs
-{(object, place): object among those its words name (any waiting one if they name none), place among
-those its words name for that object (any free one if they name none)}.
+What sentences mean is defined in `reading.py`; both directions go through it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
 
-from codediffuser.datagen.instructions.components import Arrangement, Component
+from codediffuser.datagen.instructions.components import Arrangement
+from codediffuser.datagen.instructions.reading import Reading, allowed_pairs
 from codediffuser.datagen.instructions.templates import (
     OTHER,
     Template,
@@ -24,71 +23,8 @@ from codediffuser.datagen.task import Task, get_task
 from codediffuser.errors import ConfigError, InstructionError
 from codediffuser.registry import unknown_name
 
-
-def allowed_pairs(task: Task, scene: Arrangement, words: Mapping[str, str]) -> tuple[Pair, ...]:
-    """Every (object, place) that an instruction with these words allows, sorted.
-
-    A sentence that names only `{other_<object>}` means all the others ("put the other one away").
-
-    Args:
-        task: Gives the phrases and the two categories.
-        scene: What is spoken about.
-        words: Placeholder to the words that fill it; empty for a sentence that names nothing.
-
-    Raises:
-        InstructionError: Words are unknown, name nothing or not clearly, or what is "other" is
-            also what is meant.
-    """
-    pick, place = task.pick_category, task.place_category
-    phrases = {key: _phrase(task, key, text) for key, text in words.items()}
-    waiting = tuple(o.id for o in scene.pickable)
-    picks = _named(phrases, pick, scene, waiting)
-    if OTHER + pick in phrases:
-        others = _named(phrases, OTHER + pick, scene, ())
-        picks = picks if pick in phrases else tuple(i for i in picks if i not in others)
-        if set(picks) & set(others):
-            raise InstructionError(
-                f"'{words[OTHER + pick]}' is meant and also the other {pick}: {', '.join(others)}"
-            )
-    pairs = []
-    free = tuple(p.id for p in scene.free_places)
-    for object_id in picks:
-        places = _named(phrases, place, scene, free, object_id)
-        if OTHER + place in phrases:
-            others = _named(phrases, OTHER + place, scene, (), object_id)
-            if set(places) & set(others):
-                raise InstructionError(
-                    f"'{words[OTHER + place]}' is the other {place}, but '{words[place]}' names "
-                    f"some of the same for {object_id}"
-                )
-        pairs += [(object_id, place_id) for place_id in places]
-    if not pairs:
-        raise InstructionError("the instruction allows no pair of object and place")
-    return tuple(sorted(pairs))
-
-
-def _named(
-    phrases: Mapping[str, Component], placeholder: str, scene: Arrangement,
-    default: tuple[str, ...], pick_id: str | None = None,
-) -> tuple[str, ...]:  # fmt: skip
-    """What the phrase of a placeholder names, `default` without one; an error when nothing."""
-    if placeholder not in phrases:
-        return default
-    ids = phrases[placeholder].extract(scene, pick_id)
-    if not ids:
-        relation = f" of {pick_id}" if pick_id else ""
-        raise InstructionError(
-            f"'{phrases[placeholder].words}'{relation} fits nothing in the scene, or not clearly"
-        )
-    return ids
-
-
-def _phrase(task: Task, placeholder: str, words: str) -> Component:
-    category = placeholder.removeprefix(OTHER)
-    phrases = {w: c for w, c in task.components().items() if c.category == category}
-    if words not in phrases:
-        raise InstructionError(unknown_name(f"phrase for a {category}", words, list(phrases)))
-    return phrases[words]
+Filling = tuple[dict[str, str], tuple[Pair, ...]]
+"""Placeholder to words, and all pairs that they allow."""
 
 
 def make_instruction(
@@ -109,9 +45,10 @@ def make_instruction(
     """
     library = library or load_templates(task.name)
     check_library(task, library)
-    possible: dict[str, list[tuple[Template, list[tuple[dict[str, str], tuple[Pair, ...]]]]]] = {}
+    reading = Reading(task, scene)
+    possible: dict[str, list[tuple[Template, list[Filling]]]] = {}
     for template in library.templates:
-        fillings = list(_fillings(task, scene, target, template, library))
+        fillings = list(_fillings(reading, target, template, library))
         if fillings:
             possible.setdefault(template.kind, []).append((template, fillings))
     if not possible:
@@ -132,14 +69,14 @@ def make_instruction(
 
 
 def _fillings(
-    task: Task, scene: Arrangement, target: Target, template: Template, library: TemplateLibrary
-) -> Iterator[tuple[dict[str, str], tuple[Pair, ...]]]:
+    reading: Reading, target: Target, template: Template, library: TemplateLibrary
+) -> Iterator[Filling]:
     """Words for a template's placeholders that make it true of the target, with all their pairs."""
     choices = [library.phrases[p.removeprefix(OTHER)] for p in template.placeholders]
     for chosen in product(*choices):
         words = dict(zip(template.placeholders, chosen, strict=True))
         try:
-            pairs = allowed_pairs(task, scene, words)
+            pairs = reading.pairs(words)
         except InstructionError:
             continue  # These words do not fit this scene; others may.
         if (target.pick, target.place) in pairs:
@@ -148,7 +85,7 @@ def _fillings(
 
 def check_library(task: Task, library: TemplateLibrary) -> None:
     """Raise `ConfigError` unless the task knows every phrase of the library, under its category."""
-    known = {c: [] for c in (task.pick_category, task.place_category)}  # type: dict[str, list[str]]
+    known: dict[str, list[str]] = {task.pick_category: [], task.place_category: []}
     for phrase in task.components().values():
         known[phrase.category].append(phrase.words)
     for category, phrases in library.phrases.items():

@@ -14,6 +14,13 @@ import numpy as np
 from pydantic import model_validator
 
 from codediffuser.datagen import drawing, shapes
+from codediffuser.datagen.crate import (
+    CrateConfig,
+    crate_footprint,
+    crate_from_above,
+    crate_object,
+    crate_slots,
+)
 from codediffuser.datagen.instructions.components import (
     Component,
     PlaceBand,
@@ -21,8 +28,8 @@ from codediffuser.datagen.instructions.components import (
     by_words,
     extremes,
 )
-from codediffuser.datagen.placement import Area, KeepOut, sample_positions
-from codediffuser.datagen.scene import ObjectSpec, Pair, PlaceSpec, SceneSpec, Vector3
+from codediffuser.datagen.placement import Area, sample_positions
+from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec, Vector3
 from codediffuser.datagen.task import (
     TASKS,
     Check,
@@ -42,21 +49,6 @@ from codediffuser.schema import Strict
 
 R_WORLD_HAND_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """The hand points down and its fingers open along world x."""
-
-
-class CrateConfig(Strict):
-    """A crate of rows x columns cells; row 0 is farthest (+y), column 0 rightmost (+x)."""
-
-    position_m: Vector3
-    size_m: Vector3
-    color_rgb: Vector3
-    rows: int
-    columns: int
-    pitch_m: float
-    wall_m: float
-    floor_m: float
-    taper_height_m: float
-    taper_top_m: float
 
 
 class BatteryConfig(Strict):
@@ -173,18 +165,14 @@ class PackBattery(Task[PackBatteryConfig]):
         if variant not in self.config.variants:
             raise ConfigError(unknown_name("variant", variant, list(self.config.variants)))
         ranges = self.config.variants[variant]
-        slots = self._slots()
+        slots = crate_slots(crate)
         low, high = ranges.packed_count
         waiting = _count(rng, ranges.waiting_count, picks, "picks: waiting batteries")
         free_range = (len(slots) - high, len(slots) - low)
         packed = len(slots) - _count(rng, free_range, places, "places: free slots")
-        footprint = [
-            (center - size / 2, center + size / 2)
-            for center, size in zip(crate.position_m[:2], crate.size_m[:2], strict=True)
-        ]
         area = Area(
             ranges.area_x_m, ranges.area_y_m, ranges.min_distance_m, ranges.max_tries,
-            ranges.max_redraws, (KeepOut("the crate", *footprint),), self.config.battery.radius_m,
+            ranges.max_redraws, (crate_footprint(crate),), self.config.battery.radius_m,
         )  # fmt: skip
         spots = sample_positions(
             rng, waiting, area, keys=f"variants.{variant}", what="waiting batteries"
@@ -193,29 +181,7 @@ class PackBattery(Task[PackBatteryConfig]):
         standing = [((float(x), float(y), 0.0), None) for x, y in spots]
         standing += [(slot.position_m, slot.id) for slot in taken]
         objects = [self._battery(rng, i, *spot) for i, spot in enumerate(standing)]
-        crate_body = ObjectSpec(
-            id="crate", category="crate", name="crate", position_m=crate.position_m,
-            color_rgb=crate.color_rgb, fixed=True,
-        )  # fmt: skip
-        return Layout((*objects, crate_body), slots)
-
-    def _slots(self) -> tuple[PlaceSpec, ...]:
-        crate = self.config.crate
-        height = crate.size_m[2]
-        region = (crate.pitch_m, crate.pitch_m, height)
-        slots = []
-        for index in range(crate.rows * crate.columns):
-            x, y, z = slot_center_m(crate, index)
-            slots.append(
-                PlaceSpec(
-                    id=f"slot_{index:02d}",
-                    category="slot",
-                    position_m=(x, y, z),
-                    size_m=region,
-                    center_m=(x, y, crate.position_m[2] + height / 2),
-                )
-            )
-        return tuple(slots)
+        return Layout((*objects, crate_object(crate)), slots)
 
     def _battery(
         self, rng: np.random.Generator, number: int, position_m: Vector3, place: str | None
@@ -264,25 +230,25 @@ class PackBattery(Task[PackBatteryConfig]):
         margin = picture.pad_margin_m
         pad_low = (ranges.area_x_m[0] - margin, ranges.area_y_m[0] - margin)
         pad_high = (ranges.area_x_m[1] + margin, ranges.area_y_m[1] + margin)
-        middle, size = crate.position_m[:2], crate.size_m[:2]
+        footprint = crate_footprint(crate)
         slot_m = scene.place(scene.target.place).position_m[:2]
+        pick_m = scene.object(scene.target.pick).position_m[:2]
         painted = [
-            *drawing.grid_of_cells(
-                middle, size, crate.rows, crate.columns, crate.pitch_m, crate.wall_m
-            ),
+            *crate_from_above(crate),
             *drawing.pad_with_crosses(pad_low, pad_high, picture.cross_spacing_m),
             drawing.cell(slot_m, crate.pitch_m, crate.wall_m, drawing.TARGET_TINT),
+            drawing.arrow_between(pick_m, radius, slot_m, radius),
             drawing.Disc(slot_m, radius, None, drawing.TARGET_EDGE, dashed=True),
+            drawing.Text(slot_m, "to here", 9, drawing.TARGET_EDGE, bold=True),
         ]
         for battery in (o for o in scene.objects if o.category == "battery"):
             at, target = battery.position_m[:2], battery.id == scene.target.pick
             painted.append(drawing.thing(at, radius, target=target))
-        pick_m = scene.object(scene.target.pick).position_m[:2]
-        painted.append(drawing.arrow_between(pick_m, radius, slot_m, radius))
+        painted.append(drawing.Text(pick_m, "take", 9, "#ffffff", bold=True))
         return drawing.reset_drawing(
-            scene, painted,
-            low_m=(min(pad_low[0], middle[0] - size[0] / 2), pad_low[1]),
-            high_m=(max(pad_high[0], middle[0] + size[0] / 2), middle[1] + size[1] / 2),
+            scene, painted, self.config.observer,
+            low_m=(min(pad_low[0], footprint.x_m[0]), min(pad_low[1], footprint.y_m[0])),
+            high_m=(max(pad_high[0], footprint.x_m[1]), max(pad_high[1], footprint.y_m[1])),
             notes=(
                 f"{scene.ambiguity.picks} on the pad",
                 f"{len(scene.places) - scene.ambiguity.places} in the crate",
@@ -398,14 +364,6 @@ class PackBattery(Task[PackBatteryConfig]):
         if T[2, 3] >= limits.max_base_height_m or T[2, 2] <= limits.min_upright:
             return "place:on_rim"
         return "place:wrong_slot" if (handled, nearest) not in pairs else "release:not_at_rest"
-
-
-def slot_center_m(crate: CrateConfig, index: int) -> Vector3:
-    """World position of the middle of a slot's floor; index = columns * row + column."""
-    row, column = divmod(index, crate.columns)
-    x = crate.position_m[0] + ((crate.columns - 1) / 2 - column) * crate.pitch_m
-    y = crate.position_m[1] + ((crate.rows - 1) / 2 - row) * crate.pitch_m
-    return (x, y, crate.position_m[2] + crate.floor_m)
 
 
 def _count(rng: np.random.Generator, limits: tuple[int, int], asked: int | None, what: str) -> int:
