@@ -12,6 +12,20 @@ from pathlib import Path
 from typing import Any
 
 TEMPORARY_PREFIX = ".partial-"
+RETIRED_PREFIX = ".retired-"
+"""Begins the name of a folder that is just being replaced."""
+
+
+def cache_folder() -> Path:
+    """Where derived, disposable files live: `$CODEDIFFUSER_CACHE`, else the user's cache folder.
+
+    The user's cache folder is `$XDG_CACHE_HOME/codediffuser`, or `~/.cache/codediffuser`. Nothing
+    is created.
+    """
+    if own := os.environ.get("CODEDIFFUSER_CACHE"):
+        return Path(own)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "codediffuser"
 
 
 def sha256_file(path: Path) -> str:
@@ -90,7 +104,8 @@ def atomic_folder(path: Path) -> Iterator[Path]:
                 with file.open("rb") as stream:
                     os.fsync(stream.fileno())
         if path.exists():
-            retired = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-old-{path.name}")
+            # Killed between the two renames, the old folder comes back by `remove_partials`.
+            retired = path.with_name(f"{RETIRED_PREFIX}{os.getpid()}-{path.name}")
             os.replace(path, retired)
             os.replace(partial, path)
             shutil.rmtree(retired, ignore_errors=True)
@@ -104,20 +119,33 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 def remove_partials(folder: Path) -> list[str]:
     """Delete what killed processes left in `folder`; processes still alive keep theirs.
 
+    A folder that was being replaced, and whose successor did not arrive, is put back.
+
     Returns:
         Names of what was removed, sorted.
     """
+    for path, name in _orphans(folder, RETIRED_PREFIX):
+        if (folder / name).exists():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            os.replace(path, folder / name)
     removed = []
-    for path in sorted(folder.glob(f"{TEMPORARY_PREFIX}*")):
-        owner = path.name.removeprefix(TEMPORARY_PREFIX).split("-", 1)[0]
-        if owner.isdigit() and int(owner) != os.getpid() and _alive(int(owner)):
-            continue
+    for path, _ in _orphans(folder, TEMPORARY_PREFIX):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
         removed.append(path.name)
     return removed
+
+
+def _orphans(folder: Path, prefix: str) -> Iterator[tuple[Path, str]]:
+    """Yield `PREFIX<process id>-<name>` entries that no other living process owns, and the name."""
+    for path in sorted(folder.glob(f"{prefix}*")):
+        owner, _, name = path.name.removeprefix(prefix).partition("-")
+        if owner.isdigit() and int(owner) != os.getpid() and _alive(int(owner)):
+            continue
+        yield path, name
 
 
 def _alive(pid: int) -> bool:

@@ -39,7 +39,8 @@ def matrix_to_quat_wxyz(R: np.ndarray) -> np.ndarray:
     if R.shape[-2:] != (3, 3):
         raise ShapeError(f"R: expected shape (..., 3, 3), got {R.shape}")
     xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
-    # Four ways to read the quaternion, each scaled by one component; the largest is well-conditioned.
+    # Four ways to read the quaternion, each scaled by one component; the largest one is
+    # well-conditioned.
     candidates = np.stack(
         [
             np.stack(

@@ -80,7 +80,8 @@ class Document(Strict):
         kind, _, number = str(name).removeprefix("codediffuser.").partition("/")
         if kind != cls.KIND or not number.isdigit():
             raise SchemaVersionError(
-                f"{where}: expected schema '{cls.schema_name()}', got '{name}'; is it the right file?"
+                f"{where}: expected schema '{cls.schema_name()}', got '{name}'; "
+                "is it the right file?"
             )
         version = int(number)
         if version > cls.VERSION:
