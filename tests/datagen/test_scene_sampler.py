@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from codediffuser.datagen.instructions.templates import load_templates
+from codediffuser.datagen.reset_image import render_png
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene, sample_scenes
 from codediffuser.datagen.task import get_task
@@ -92,7 +93,10 @@ def test_scenes_of_another_seed_are_not_mixed_in_unless_overwritten(
     ):
         list(sample_scenes(pack_battery, tmp_path, 1, 12))
     list(sample_scenes(pack_battery, tmp_path, 1, 12, overwrite=True))
-    assert SceneSpec.load(tmp_path / "000000.yaml").seed.root == 12
+    scene = SceneSpec.load(tmp_path / "000000.yaml")
+    assert scene.seed.root == 12
+    picture = (tmp_path / "000000.png").read_bytes()
+    assert picture == render_png(pack_battery.draw_reset(scene))
 
 
 def test_ambiguity_counts_what_can_be_picked_and_placed(scenes: list[SceneSpec]) -> None:
