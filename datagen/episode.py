@@ -25,6 +25,9 @@ from codediffuser.errors import ConfigError, EpisodeError, SchemaVersionError
 from codediffuser.files import TEMPORARY_PREFIX, sha256_file
 from codediffuser.poses import matrix_to_rot6d
 
+# Multiplied, not divided: the renderer does so too, and live depth equals stored depth bit by bit.
+METRES_PER_MM = np.float32(1e-3)
+
 # All that the libraries below raise on damaged bytes.
 _READ_ERRORS = (
     McapError, SerdeError, zstandard.ZstdError, struct.error, ValueError, KeyError, OSError,
@@ -241,7 +244,7 @@ class Episode:
                         frame.rgb[color_topics[topic]] = ros.decode_color(data)
                     elif topic in depth_topics:
                         depth_mm = ros.decode_depth(data)
-                        frame.depth_m[depth_topics[topic]] = depth_mm / np.float32(1000)
+                        frame.depth_m[depth_topics[topic]] = depth_mm * METRES_PER_MM
                 if len(frame.rgb) != len(color_topics) or len(frame.depth_m) != len(depth_topics):
                     raise EpisodeError(f"frame {k} lacks a picture")
                 yield frame
