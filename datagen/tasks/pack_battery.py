@@ -311,9 +311,7 @@ class PackBattery(Task[PackBatteryConfig]):
         judged = [Check(pair, self._conditions(view, pair)) for pair in pairs]
         if not judged:
             return Check(None, ())
-        return max(
-            judged, key=lambda c: (sum(x.holds for x in c.conditions), -c.conditions[0].value)
-        )
+        return max(judged, key=lambda c: (c.success, -c.conditions[0].value))
 
     def _conditions(self, view: SceneView, pair: Pair) -> tuple[Condition, ...]:
         limits = self.config.success
