@@ -22,7 +22,7 @@ from codediffuser.datagen.episode import Episode, list_episodes
 from codediffuser.datagen.record import DemoJob, PictureOptions, record_demo, rerender_episode
 from codediffuser.datagen.workers import Outcome, run_tasks
 from codediffuser.errors import ConfigError, EpisodeError
-from codediffuser.files import TEMPORARY_PREFIX, remove_partials, sha256_file
+from codediffuser.files import remove_partials, sha256_file
 
 SCENE_TIMEOUT_S = 600.0
 """Far above what a scene takes: a process that needs longer hangs."""
@@ -36,9 +36,7 @@ def scene_ids(run: Path) -> list[str]:
     Raises:
         ConfigError: The run has no scenes.
     """
-    ids = sorted(
-        p.stem for p in (run / "scenes").glob("*.yaml") if not p.name.startswith(TEMPORARY_PREFIX)
-    )
+    ids = sorted(p.stem for p in (run / "scenes").glob("*.yaml") if not p.name.startswith("."))
     if not ids:
         raise ConfigError(f"{run / 'scenes'}: expected scene files, found none; run sample first")
     return ids

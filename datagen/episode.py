@@ -22,14 +22,14 @@ from codediffuser.datagen.episode_writer import step_time_ns
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.errors import ConfigError, EpisodeError, SchemaVersionError
-from codediffuser.files import TEMPORARY_PREFIX, sha256_file
+from codediffuser.files import sha256_file
 from codediffuser.poses import matrix_to_rot6d
 
 # Multiplied, not divided: the renderer does so too, and live depth equals stored depth bit by bit.
 METRES_PER_MM = np.float32(1e-3)
 
 # All that the libraries below raise on damaged bytes.
-_READ_ERRORS = (
+READ_ERRORS = (
     McapError, SerdeError, zstandard.ZstdError, struct.error, ValueError, KeyError, OSError,
 )  # fmt: skip
 
@@ -281,7 +281,7 @@ class Episode:
             if str(self.folder) in str(error):
                 raise
             raise EpisodeError(f"{self.log_path}: {error}; {self.remedy}") from None
-        except _READ_ERRORS as error:
+        except READ_ERRORS as error:
             size = self.log_path.stat().st_size if self.log_path.is_file() else 0
             raise EpisodeError(
                 f"{self.log_path}: cannot be read ({type(error).__name__}: {error}); expected "
@@ -294,7 +294,7 @@ def list_episodes(run: Path) -> list[Path]:
     return sorted(
         path
         for path in (run / fmt.EPISODES).glob("*")
-        if not path.name.startswith(TEMPORARY_PREFIX) and (path / fmt.MANIFEST).is_file()
+        if not path.name.startswith(".") and (path / fmt.MANIFEST).is_file()
     )
 
 
