@@ -83,8 +83,8 @@ def crop_box(points: np.ndarray, low_m: np.ndarray, high_m: np.ndarray) -> np.nd
 def farthest_point_indices(points: np.ndarray, count: int) -> np.ndarray:
     """Choose `count` evenly spread points: indices (min(count, N),) int64.
 
-    Exact farthest point sampling (k-d line buckets of `fpsample`). The first point is the
-    library's choice, the same for the same input. With N <= count every index comes back.
+    Exact farthest point sampling (k-d line buckets of `fpsample`), beginning with point 0, so the
+    same cloud gives the same choice. With N <= count every index comes back.
     """
     check_points(points)
     n = len(points)
@@ -95,6 +95,9 @@ def farthest_point_indices(points: np.ndarray, count: int) -> np.ndarray:
     # Higher buckets pay only on large clouds; the library asks 2**h to stay well under N.
     height = 7 if n > 20_000 else 5 if n > 2_000 else 3
     chosen = fpsample.bucket_fps_kdline_sampling(
-        np.ascontiguousarray(points, dtype=np.float32), count, h=height
+        np.ascontiguousarray(points, dtype=np.float32),
+        count,
+        h=height,
+        start_idx=0,  # left out, the library draws one at random
     )
     return np.asarray(chosen, dtype=np.int64)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from codediffuser.datagen.scene import (
     Ambiguity,
@@ -19,6 +20,11 @@ from codediffuser.datagen.scene import (
     Target,
 )
 from codediffuser.datagen.trajectory import Trajectory
+
+
+# A busy machine is no failure of the law under test.
+settings.register_profile("shared_machine", deadline=None, max_examples=50)
+settings.load_profile("shared_machine")
 
 
 @pytest.fixture
