@@ -21,7 +21,6 @@ from codediffuser.datagen.scene import (
 )
 from codediffuser.datagen.trajectory import Trajectory
 
-
 # A busy machine is no failure of the law under test.
 settings.register_profile("shared_machine", deadline=None, max_examples=50)
 settings.load_profile("shared_machine")
