@@ -60,8 +60,3 @@ def run_checks(which: Iterable[Check] = CHECKS) -> Iterator[CheckResult]:
             detail, ok = str(error) or type(error).__name__, False
         remedy = "" if ok else check.remedy()
         yield CheckResult(check.name, ok, detail, remedy, check.required)
-
-
-def exit_code(results: Iterable[CheckResult]) -> int:
-    """0 when everything required works, else 2."""
-    return 0 if all(r.ok for r in results if r.required) else 2

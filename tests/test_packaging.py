@@ -106,9 +106,7 @@ def test_help_is_printed_from_the_wheel(installed: Path) -> None:
 
 
 def test_scenes_are_sampled_from_the_wheel(installed: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    done = run_installed(
-        installed, "-m", "codediffuser.cli", "sample", "pack_battery", "-n", "2", "--out", str(run)
-    )
+    command = ["-m", "codediffuser.cli", "sample", "pack_battery", "-n", "2"]
+    done = run_installed(installed, *command, "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr
-    assert len(list((run / "scenes").glob("*.yaml"))) == 2
+    assert len(list(tmp_path.glob("[0-9]*.yaml"))) == 2

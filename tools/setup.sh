@@ -188,7 +188,7 @@ venv_is_current() {
 pip_install() {
     say "pip install $*"
     "$venv/bin/python" -m pip install --progress-bar off "$@" |
-        sed -u -n -E '/^ *(Downloading .*\.(whl|gz) |Building |Successfully )/p'
+        sed -u -n -E '/^ *(Downloading .*\.(whl|gz) |Building )/p'
 }
 
 make_venv() {
