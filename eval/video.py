@@ -1,0 +1,208 @@
+"""Frames of a rollout: views with attention tinted in and a caption; video and key-frame strip."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from codediffuser.errors import ShapeError
+from codediffuser.files import atomic_path
+from codediffuser.poses import apply_transform, invert_transform
+
+TILE_SIZE = (320, 240)
+"""Width and height in pixels that every view is brought to."""
+
+CAPTION_HEIGHT = 80
+STRIP_TILES = (3, 2)
+"""Columns and rows of the strip of key frames."""
+
+ROLE_COLORS = ((255, 140, 0), (0, 200, 160))
+"""Tint of the picked object's points and of the place's points."""
+
+OCCLUSION_MARGIN_M = 0.01
+_TINT = 0.6
+_INK, _SOFT, _PAPER = (240, 240, 236), (160, 165, 170), (24, 27, 30)
+
+
+@dataclass(frozen=True, slots=True)
+class VideoView:
+    """One camera's picture with what it takes to draw world points into it."""
+
+    rgb: np.ndarray
+    """(H, W, 3) uint8."""
+    depth_m: np.ndarray
+    """(H, W) float32, 0 where there is no reading."""
+    K: np.ndarray
+    """(3, 3) float64, pixels."""
+    T_world_camera: np.ndarray
+    """(4, 4) float64, OpenCV axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Caption:
+    """Words beneath a frame."""
+
+    instruction: str
+    time_s: float
+    phase: str
+    attended: str
+    success: bool
+
+
+def tint_attention(view: VideoView, points_world: np.ndarray, attention: np.ndarray) -> np.ndarray:
+    """Colour the pixels onto which attended points fall and where nothing hides them.
+
+    Args:
+        view: The picture.
+        points_world: (N, 3) float32, metres.
+        attention: (N, n_roles) in [0, 1]; a point counts for its strongest role above 0.5.
+
+    Returns:
+        rgb: (H, W, 3) uint8, a copy.
+    """
+    rgb = view.rgb.copy()
+    height, width = rgb.shape[:2]
+    points = apply_transform(invert_transform(view.T_world_camera), points_world)
+    ahead = points[:, 2] > 1e-3
+    points, attention = points[ahead], attention[ahead]
+    pixels = points @ view.K.T.astype(points.dtype)
+    u = np.rint(pixels[:, 0] / pixels[:, 2]).astype(np.int64)
+    v = np.rint(pixels[:, 1] / pixels[:, 2]).astype(np.int64)
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    u, v, z, attention = u[inside], v[inside], points[inside, 2], attention[inside]
+    seen = view.depth_m[v, u]
+    visible = (seen <= 0) | (z <= seen + OCCLUSION_MARGIN_M)
+    for role, color in enumerate(ROLE_COLORS[: attention.shape[1]]):
+        strongest = attention.argmax(axis=1) == role
+        chosen = np.zeros((height, width), dtype=bool)
+        mine = visible & strongest & (attention[:, role] > 0.5)
+        chosen[v[mine], u[mine]] = True
+        rgb[chosen] = ((1 - _TINT) * rgb[chosen] + _TINT * np.array(color)).astype(np.uint8)
+    return rgb
+
+
+def compose_frame(pictures: Sequence[np.ndarray], caption: Caption) -> np.ndarray:
+    """Put pictures side by side over a caption.
+
+    Args:
+        pictures: One or more (H, W, 3) uint8; each is brought to `TILE_SIZE`.
+        caption: What is written beneath.
+
+    Returns:
+        frame: (240 + 80, 320 * n, 3) uint8.
+
+    Raises:
+        ShapeError: There is no picture.
+    """
+    if not pictures:
+        raise ShapeError("compose_frame: expected at least one picture, got none")
+    width, height = TILE_SIZE
+    canvas = Image.new("RGB", (width * len(pictures), height + CAPTION_HEIGHT), _PAPER)
+    for i, rgb in enumerate(pictures):
+        tile = Image.fromarray(rgb)
+        if tile.size != TILE_SIZE:
+            tile = tile.resize(TILE_SIZE, Image.Resampling.BICUBIC)
+        canvas.paste(tile, (width * i, 0))
+    _write_caption(canvas, caption, top=height)
+    return np.asarray(canvas)
+
+
+def _write_caption(canvas: Image.Image, caption: Caption, top: int) -> None:
+    draw = ImageDraw.Draw(canvas)
+    # Two lines hold every shipped template; a longer sentence of a user is cut, not overprinted.
+    lines = textwrap.wrap(caption.instruction, width=canvas.width // 7, max_lines=2)
+    for i, line in enumerate(lines):
+        draw.text((12, top + 8 + 19 * i), line, fill=_INK, font=_font(15))
+    state = "  SUCCESS" if caption.success else ""
+    draw.text(
+        (12, top + 54), f"{caption.time_s:4.1f} s   {caption.phase}{state}",
+        fill=ROLE_COLORS[1] if caption.success else _SOFT, font=_font(13),
+    )  # fmt: skip
+    width = draw.textlength(caption.attended, font=_font(13))
+    draw.text(
+        (canvas.width - 12 - width, top + 54), caption.attended, fill=ROLE_COLORS[0], font=_font(13)
+    )
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size)
+
+
+def write_video(frames: Iterable[np.ndarray], path: Path, *, fps: float) -> int:
+    """Encode H.264 mp4 that plays in every browser, whole or not at all.
+
+    Args:
+        frames: (H, W, 3) uint8, all of one even size; taken one by one.
+        path: Ends with `.mp4`.
+        fps: Frames per second.
+
+    Returns:
+        Number of frames written.
+
+    Raises:
+        ShapeError: There is no frame, or one has another or an odd size.
+    """
+    import av
+
+    with atomic_path(path) as partial:
+        count = 0
+        with av.open(str(partial), "w", options={"movflags": "+faststart"}) as container:
+            # One thread: several rollouts are encoded at once, one per worker.
+            options = {"crf": "27", "preset": "veryfast", "threads": "1"}
+            rate = Fraction(fps).limit_denominator(1000)
+            stream = container.add_stream("libx264", rate=rate, options=options)
+            stream.pix_fmt = "yuv420p"
+            for rgb in _one_size(frames):
+                stream.height, stream.width = rgb.shape[:2]
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(rgb, format="rgb24")))
+                count += 1
+            if count == 0:
+                raise ShapeError(f"{path}: expected at least one frame, got none")
+            container.mux(stream.encode(None))
+    return count
+
+
+def _one_size(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    shape: tuple[int, ...] | None = None
+    for rgb in frames:
+        shape = shape or rgb.shape
+        if rgb.shape != shape or rgb.shape[0] % 2 or rgb.shape[1] % 2:
+            raise ShapeError(
+                f"video frames: expected one even size like {shape}, got {rgb.shape}; "
+                "H.264 with 4:2:0 colour has no odd sizes"
+            )
+        yield np.ascontiguousarray(rgb)
+
+
+def key_frame_strip(pictures: Sequence[np.ndarray], tile: tuple[int, int] = (160, 120)) -> bytes:
+    """Lay evenly spaced pictures out in reading order, first and last included.
+
+    Args:
+        pictures: (H, W, 3) uint8 in order of time; fewer than the strip has tiles are repeated.
+        tile: Width and height of one picture, pixels.
+
+    Returns:
+        JPEG bytes.
+
+    Raises:
+        ShapeError: There is no picture.
+    """
+    import io
+
+    if not pictures:
+        raise ShapeError("key_frame_strip: expected at least one picture, got none")
+    columns, rows = STRIP_TILES
+    chosen = np.linspace(0, len(pictures) - 1, columns * rows).round().astype(int)
+    canvas = Image.new("RGB", (columns * tile[0], rows * tile[1]))
+    for k, index in enumerate(chosen):
+        picture = Image.fromarray(pictures[index]).resize(tile, Image.Resampling.BICUBIC)
+        canvas.paste(picture, (k % columns * tile[0], k // columns * tile[1]))
+    stream = io.BytesIO()
+    canvas.save(stream, "JPEG", quality=82, optimize=True)
+    return stream.getvalue()
