@@ -14,7 +14,6 @@ import fcntl
 import hashlib
 import importlib.metadata
 import logging
-import os
 import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -23,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from codediffuser.errors import SetupError
-from codediffuser.files import atomic_folder, remove_partials
+from codediffuser.files import atomic_folder, cache_folder, remove_partials
 
 logger = logging.getLogger(__name__)
 
@@ -35,14 +34,6 @@ BUILD_VERSION = 1
 
 CREASE_RAD = 0.5
 """Edges sharper than this stay sharp when normals are smoothed."""
-
-
-def cache_folder() -> Path:
-    """Where derived files live: `$CODEDIFFUSER_CACHE`, else the XDG cache, else `~/.cache`."""
-    if own := os.environ.get("CODEDIFFUSER_CACHE"):
-        return Path(own)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "codediffuser"
 
 
 def panda_urdf() -> Path:

@@ -15,7 +15,6 @@ import torch
 from gymnasium import spaces
 from mani_skill.agents.controllers.base_controller import BaseController, ControllerConfig
 
-from codediffuser.datagen.trajectory import ACTION_NAMES
 from codediffuser.errors import ShapeError
 from codediffuser.poses import matrix_to_quat_wxyz, rot6d_to_matrix
 
@@ -23,6 +22,13 @@ NUM_ARM_JOINTS = 7
 MAX_OPENING_M = 0.04
 REACH_M = 2.0
 """Bound of the action space for each coordinate; the arm reaches less than a metre."""
+
+
+def action_space() -> spaces.Box:
+    """Box (10,) float32 of all actions. Values beyond it are not clipped, save the gripper's."""
+    low = np.array([-REACH_M] * 3 + [-1.0] * 6 + [0.0], dtype=np.float32)
+    high = np.array([REACH_M] * 3 + [1.0] * 6 + [MAX_OPENING_M], dtype=np.float32)
+    return spaces.Box(low, high, dtype=np.float32)
 
 
 class HandIK:
@@ -102,9 +108,7 @@ class HandPoseController(BaseController):
         self.ik_failures = 0
 
     def _initialize_action_space(self) -> None:
-        low = np.array([-REACH_M] * 3 + [-1.0] * 6 + [0.0], dtype=np.float32)
-        high = np.array([REACH_M] * 3 + [1.0] * 6 + [MAX_OPENING_M], dtype=np.float32)
-        self.single_action_space = spaces.Box(low, high, dtype=np.float32)
+        self.single_action_space = action_space()
 
     def set_drive_property(self) -> None:
         """Give every joint its stiffness, damping and force limit."""
@@ -186,6 +190,3 @@ class HandPoseControllerConfig(ControllerConfig):
     arm: Drive
     finger: Drive
     controller_cls = HandPoseController
-
-
-assert len(ACTION_NAMES) == 10

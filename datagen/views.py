@@ -9,7 +9,7 @@ import numpy as np
 
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.poses import pose_to_transform
+from codediffuser.poses import matrix_to_rot6d, pose_to_transform, quat_wxyz_to_matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,13 @@ class Moment:
     """(3,) float64, world."""
     hand_quat_wxyz: np.ndarray
     """(4,) float64."""
+
+
+def state_row(moment: Moment) -> np.ndarray:
+    """Measured hand pose and mean finger opening, (10,) float32, laid out like the action."""
+    rot6d = matrix_to_rot6d(quat_wxyz_to_matrix(moment.hand_quat_wxyz))
+    opening = np.mean(moment.qpos[-2:])
+    return np.concatenate([moment.hand_position_m, rot6d, [opening]]).astype(np.float32)
 
 
 def moment_at(trajectory: Trajectory, moment: int) -> Moment:
