@@ -1,0 +1,37 @@
+"""What the README promises: its Python runs, its verbs exist, its links lead somewhere."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+
+
+def test_the_snippet_that_samples_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(SNIPPETS[0], {})
+    sentence, pairs = capsys.readouterr().out.splitlines()
+    assert sentence.endswith(".")
+    assert "battery_0" in pairs
+
+
+@pytest.mark.sim
+def test_the_snippet_that_simulates_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(SNIPPETS[1], {})
+    assert capsys.readouterr().out == "False\n"
+
+
+def test_every_verb_has_its_line() -> None:
+    from codediffuser.verbs import VERBS
+
+    rows = re.findall(r"^\| `(\w+)` \|", README, re.MULTILINE)
+    assert sorted(rows) == sorted(VERBS)
+
+
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
+def test_links_lead_to_files(name: str) -> None:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)
+    assert [target for target in targets if not (ROOT / target).exists()] == []
