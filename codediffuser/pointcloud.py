@@ -72,7 +72,12 @@ def fuse_views(
 def inside_box(points: np.ndarray, low_m: np.ndarray, high_m: np.ndarray) -> np.ndarray:
     """Return (N,) bool: which points (N, 3) lie in the closed axis-aligned box low..high (3,)."""
     check_points(points)
-    return np.all((points >= low_m) & (points <= high_m), axis=1)
+    inside = np.ones(len(points), dtype=bool)
+    # Column by column: a reduction over an axis of three is several times slower.
+    for axis in range(3):
+        values = points[:, axis]
+        inside &= (values >= low_m[axis]) & (values <= high_m[axis])
+    return inside
 
 
 def crop_box(points: np.ndarray, low_m: np.ndarray, high_m: np.ndarray) -> np.ndarray:

@@ -5,6 +5,9 @@ Only true policy inputs live under `observation.`; LeRobot infers roles from nam
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any, Literal
+
 from codediffuser.datagen.trajectory import ACTION_NAMES
 
 POINTS = "observation.points"
@@ -26,3 +29,43 @@ POINT_CHANNELS = ("x", "y", "z", "attention_pick", "attention_place")
 """World metres, then attention in [0, 1] for each role."""
 
 STATE_NAMES = ACTION_NAMES
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """One column as `info.json` declares it: a vector or a scalar, as edit tools need it."""
+
+    dtype: Literal["float32", "int64", "string"]
+    size: int
+    """Length of the vector, 1 for a scalar."""
+    names: Any = None
+
+    def declaration(self) -> dict[str, Any]:
+        """The feature's entry in `info.json`."""
+        return {"dtype": self.dtype, "shape": [self.size], "names": self.names}
+
+
+def policy_features(num_points: int) -> dict[str, Feature]:
+    """Features of the `pointcloud` profile in the order of columns, without LeRobot's own.
+
+    Args:
+        num_points: N, the points of each cloud.
+    """
+    numbers = len(POINT_CHANNELS) * num_points
+    return {
+        POINTS: Feature("float32", numbers, {"channels": list(POINT_CHANNELS)}),
+        STATE: Feature("float32", len(STATE_NAMES), list(STATE_NAMES)),
+        ACTION: Feature("float32", len(ACTION_NAMES), list(ACTION_NAMES)),
+        LABELS: Feature("string", 1),
+        EPISODE_ID: Feature("string", 1),
+    }
+
+
+DEFAULT_FEATURES = {
+    "timestamp": Feature("float32", 1),
+    "frame_index": Feature("int64", 1),
+    "episode_index": Feature("int64", 1),
+    "index": Feature("int64", 1),
+    "task_index": Feature("int64", 1),
+}
+"""Columns that every LeRobot dataset has."""

@@ -1,0 +1,144 @@
+"""What an export says about itself beside LeRobot's files: `meta/codediffuser.json`.
+
+LeRobot's loader ignores the file and its edit tools do not copy it: a dataset that they made has
+none, and is known by `dataset_fingerprint` alone.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, ClassVar
+
+from codediffuser.datasets.clouds import CloudConfig
+from codediffuser.errors import DatasetError
+from codediffuser.files import sha256_file, sha256_json
+from codediffuser.schema import Document, Strict
+
+DOCUMENT = "meta/codediffuser.json"
+INFO = "meta/info.json"
+STATS = "meta/stats.json"
+TASKS = "meta/tasks.parquet"
+EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+CODEBASE_VERSION = "v3.0"
+"""LeRobot's name of the layout."""
+
+
+class ExportedEpisode(Strict):
+    """Where one episode of the export came from."""
+
+    episode_index: int
+    episode_id: str
+    frames: int
+    episode_sha256: str
+    """Content of the episode, as labels name it."""
+    labels_revision: int
+    labels_sha256: str
+    """SHA-256 of `labels.json`, which names its points by hash."""
+
+
+class DatasetDocument(Document):
+    """What `meta/codediffuser.json` says (`schema: codediffuser.dataset/1`)."""
+
+    KIND: ClassVar[str] = "dataset"
+    VERSION: ClassVar[int] = 1
+
+    profile: str
+    task: str
+    """Name of the task, or of all tasks, joined by commas."""
+    cloud: CloudConfig
+    source: str
+    """Name of the run folder."""
+    episodes: tuple[ExportedEpisode, ...]
+    left_out: tuple[str, ...]
+    """Ids of episodes that did not succeed."""
+    versions: dict[str, str]
+    git_commit: str
+    content_sha256: str
+    """`dataset_fingerprint` of the export when it was written."""
+
+
+def dataset_fingerprint(root: Path) -> str:
+    """SHA-256 over names and bytes of all files of `data/` and `meta/`, without our own document.
+
+    Raises:
+        DatasetError: There is no LeRobot dataset at `root`.
+    """
+    load_info(root)
+    files = [p for part in ("data", "meta") for p in sorted((root / part).rglob("*"))]
+    named = {
+        p.relative_to(root).as_posix(): sha256_file(p)
+        for p in files
+        if p.is_file() and p != root / DOCUMENT
+    }
+    return sha256_json(named)
+
+
+def load_dataset_document(root: Path) -> DatasetDocument:
+    """Read `meta/codediffuser.json`.
+
+    Raises:
+        DatasetError: It is missing or damaged, or there is no dataset.
+        SchemaVersionError: It is of a version that this code cannot read.
+    """
+    load_info(root)
+    path = root / DOCUMENT
+    if not path.exists():
+        raise DatasetError(
+            f"{path}: no such file; expected a dataset that `codediffuser convert` wrote "
+            "(LeRobot's edit tools drop this file: copy it from their source)"
+        )
+    return DatasetDocument.load(path)
+
+
+def load_info(root: Path) -> dict[str, Any]:
+    """Read `meta/info.json` of a LeRobot dataset and check its layout.
+
+    Raises:
+        DatasetError: The file is missing or damaged, or names another layout than v3.0.
+    """
+    path = root / INFO
+    try:
+        info = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        raise DatasetError(
+            f"{root}: no LeRobot dataset here, {INFO} is missing; run `codediffuser convert RUN`"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: not readable as JSON: {error}") from None
+    if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
+        raise DatasetError(f"{path}: expected a mapping with 'features'; is it a LeRobot dataset?")
+    version = info.get("codebase_version")
+    if version != CODEBASE_VERSION:
+        raise DatasetError(
+            f"{path}: expected codebase_version '{CODEBASE_VERSION}', got '{version}'; convert the "
+            "dataset with LeRobot's own tool, or run `codediffuser convert RUN` again"
+        )
+    return info
+
+
+def require_features(root: Path, info: dict[str, Any], expected: dict[str, str]) -> None:
+    """Check that features exist with the expected dtype.
+
+    Raises:
+        DatasetError: A feature is missing or has another dtype.
+    """
+    for key, dtype in expected.items():
+        found = info["features"].get(key, {}).get("dtype")
+        if found != dtype:
+            raise DatasetError(
+                f"{root / INFO}: expected feature '{key}' of dtype {dtype}, got "
+                f"{found or 'none'}; features are: {', '.join(sorted(info['features']))}"
+            )
+
+
+def find_document(root: Path) -> DatasetDocument | None:
+    """The document, or None for a dataset that LeRobot's tools made.
+
+    Raises:
+        DatasetError: There is no dataset.
+        SchemaVersionError: The document is of a version that this code cannot read.
+    """
+    load_info(root)
+    return load_dataset_document(root) if (root / DOCUMENT).exists() else None
