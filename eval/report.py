@@ -172,7 +172,10 @@ def _safe(svg: str) -> Any:
 
 def _attention_sentence(results: EvalResults) -> str:
     if results.settings.attention == "language":
-        return "The policy was given only the instruction: a program chose what it attends to."
+        return (
+            "The policy was given only the instruction: a program, written by "
+            f"'{results.settings.language_model}', chose what it attends to."
+        )
     return "The policy was given the scene's true target, so this measures motion alone."
 
 

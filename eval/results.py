@@ -128,6 +128,8 @@ class EvalSettings(Strict):
     """Over the names and bytes of all files of the checkpoint."""
     attention: AttentionFrom
     stress: Stress = "none"
+    language_model: str | None = None
+    """Registered name of who writes the programs; None for the oracle."""
     swap_share: float = 0.0
     """Share of attended points that stress `swapped` replaces by wrong ones."""
     root_seed: int

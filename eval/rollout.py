@@ -14,15 +14,15 @@ from codediffuser.datagen.task import CameraConfig, Check, Task
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.datagen.views import MomentView, join_moments, moment_at
 from codediffuser.datasets.clouds import CloudConfig
-from codediffuser.errors import (
-    CodeDiffuserError,
-    InstructionError,
-    LabelError,
-    ProgramError,
-    RenderError,
-)
+from codediffuser.errors import LabelError, RenderError
 from codediffuser.eval.attention_source import AttentionSource, Choice
-from codediffuser.eval.observe import Observer, object_poses, state_row, workspace_cloud
+from codediffuser.eval.observe import (
+    Observer,
+    depth_views,
+    object_poses,
+    state_row,
+    workspace_cloud,
+)
 from codediffuser.eval.policy_handle import PolicyHandle
 from codediffuser.eval.results import AttentionRecord, Judgement, RolloutResult, Stress
 from codediffuser.files import sha256_json
@@ -33,13 +33,8 @@ from codediffuser.seeding import Stage, int_seed, rng_for
 MOVED_M = 0.01
 """An object that never moved as far cannot have come to succeed."""
 
-FAILURES: tuple[tuple[type[CodeDiffuserError], str], ...] = (
-    (InstructionError, "language:fits_nothing"),
-    (ProgramError, "language:program"),
-    (LabelError, "attention:hidden"),
-    (RenderError, "camera:sees_nothing"),
-)
-"""What a rollout that cannot begin is counted as."""
+HIDDEN, BLIND, NOT_FINITE = "attention:hidden", "camera:sees_nothing", "policy:not_finite"
+"""Failures beside those of language and those that the task names by phase."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,16 +120,15 @@ class ClosedLoop:
         self.env.reset(options={"scene": scene})
         self.renderer.set_scene(scene)
         pairs = self.source.judged_pairs(scene)
-        choice, clock = Choice(pair=None), _Clock()
-        try:
-            choice = self.source.choose(self.task, scene)
-            field = self._attend(scene, choice, clock)
-        except tuple(kind for kind, _ in FAILURES) as error:
+        clock = _Clock()
+        choice = self.source.choose(self.task, scene)
+        field, fault, detail = self._attend(scene, choice, clock)
+        if field is None:
             result = RolloutResult(
                 **scene_facts(scene, pairs),
                 attention=_record(choice, pairs),
-                failure=next(name for kind, name in FAILURES if isinstance(error, kind)),
-                detail=str(error),
+                failure=fault,
+                detail=detail,
                 wall_s=time.perf_counter() - started,
             )
             return RolloutRun(scene, result)
@@ -176,20 +170,25 @@ class ClosedLoop:
             "steps": trajectory.num_steps,
         }
 
-    def _attend(self, scene: SceneSpec, choice: Choice, clock: _Clock) -> AttentionField:
-        """Label the chosen targets on what the cameras see at frame 0."""
-        assert choice.pair is not None
+    def _attend(
+        self, scene: SceneSpec, choice: Choice, clock: _Clock
+    ) -> tuple[AttentionField | None, str, str]:
+        """Label the chosen targets on what the cameras see at frame 0, or say why not."""
+        if choice.pair is None:
+            return None, choice.failure, choice.detail
         moment, ids = self.env.view.moment(), self.env.view.object_ids
         start = object_poses(scene, ids, moment)
-        observer = self._observer(scene, AttentionField([], start))
-        begun = time.perf_counter()
-        views = observer.views(moment)
-        clock.render_s += time.perf_counter() - begun
         pick, place = choice.pair
         aimed = scene.model_copy(update={"target": Target(pick=pick, place=place)})
-        cloud = workspace_cloud(self.task, views)
-        labels = ground_truth_labels(self.task, aimed, start, cloud)
-        return AttentionField(labels, start, radius_m=self.cloud.attention_radius_m)
+        begun = time.perf_counter()
+        try:
+            views = depth_views(self.renderer, self.renderer.render(moment))
+            clock.render_s += time.perf_counter() - begun
+            cloud = workspace_cloud(self.task, views)
+            labels = ground_truth_labels(self.task, aimed, start, cloud)
+        except (LabelError, RenderError) as error:
+            return None, HIDDEN if isinstance(error, LabelError) else BLIND, str(error)
+        return AttentionField(labels, start, radius_m=self.cloud.attention_radius_m), "", ""
 
     def _drive(
         self, scene: SceneSpec, field: AttentionField, clock: _Clock
@@ -208,8 +207,7 @@ class ClosedLoop:
             try:
                 action = self._act(observer, moments[-1], step, clock)
             except (PolicyFaultError, RenderError) as error:
-                fault = isinstance(error, PolicyFaultError)
-                failure = "policy:not_finite" if fault else "camera:sees_nothing"
+                failure = NOT_FINITE if isinstance(error, PolicyFaultError) else BLIND
                 detail = f"step {step}: {error}"
                 break
             env.control_step(action)

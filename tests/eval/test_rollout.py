@@ -5,7 +5,6 @@ import pytest
 
 from codediffuser.datagen.scene_sampler import sample_scene
 from codediffuser.datagen.task import get_task
-from codediffuser.errors import InstructionError, ProgramError
 from codediffuser.eval.attention_source import Choice, OracleSource
 from codediffuser.eval.film import film_cameras, motion_phases
 from codediffuser.eval.rollout import ClosedLoop, RolloutOptions, success_holds
@@ -40,14 +39,14 @@ class Scripted:
 
 
 class Fixed(OracleSource):
-    """Chooses what it is told, or raises it."""
+    """Chooses what it is told."""
 
     def __init__(self, answer):
         self.answer = answer
 
     def choose(self, task, scene):
-        if isinstance(self.answer, Exception):
-            raise self.answer
+        if isinstance(self.answer, Choice):
+            return self.answer
         return Choice(self.answer, program="answer = told")
 
 
@@ -166,18 +165,22 @@ def test_doing_the_wrong_thing_well_is_no_success(run, scene, expert_actions):
     assert done.field.labels[1].instance_id == other
 
 
-@pytest.mark.parametrize(
-    "error, failure",
-    [
-        (InstructionError("fits nothing"), "language:fits_nothing"),
-        (ProgramError("ran longer than 2 s"), "language:program"),
-    ],
-)
-def test_words_that_lead_nowhere_are_a_counted_failure(run, home, error, failure):
-    done = run([home], told=error)
-    assert (done.result.failure, done.result.detail) == (failure, str(error))
+def test_words_that_lead_nowhere_are_a_counted_failure(run, home):
+    told = Choice(None, program="while True: pass", failure="language:program", detail="too long")
+    done = run([home], told=told)
+    assert (done.result.failure, done.result.detail) == ("language:program", "too long")
     assert done.trajectory is None and done.result.final is None and done.result.steps == 0
     assert not done.result.attention.right and done.result.attention.pair is None
+    assert done.result.attention.program == "while True: pass"
+
+
+def test_a_target_that_no_camera_sees_is_a_counted_failure(run, loop, home, monkeypatch):
+    empty = np.zeros((0, 3), np.float32)
+    monkeypatch.setattr("codediffuser.eval.rollout.workspace_cloud", lambda task, views: empty)
+    result = run([home]).result
+    assert result.failure == "attention:hidden"
+    assert "hidden from the cameras" in result.detail
+    assert result.attention.right and result.steps == 0
 
 
 def test_zeroed_attention_leaves_no_trace_of_the_targets(run, loop, home):
