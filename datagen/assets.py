@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import hashlib
 import importlib.metadata
 import logging
@@ -44,8 +45,13 @@ def panda_urdf() -> Path:
     Raises:
         SetupError: ManiSkill's Panda is not where its package should hold it.
     """
+    return _built_urdf(cache_folder())
+
+
+@functools.cache
+def _built_urdf(cache: Path) -> Path:
     source = _stock_urdf()
-    folder = cache_folder() / f"panda-{_fingerprint(source)}"
+    folder = cache / f"panda-{_fingerprint(source)}"
     urdf = folder / "panda.urdf"
     if urdf.is_file():
         return urdf

@@ -13,15 +13,13 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import sapien
 from mani_skill.envs.tasks.tabletop.pick_cube import PickCubeEnv
 from mani_skill.sensors.camera import CameraConfig as ManiSkillCamera
 
-import codediffuser.datagen.envs  # noqa: F401  registers the environments
 from codediffuser.datagen.cameras import T_world_camera, sapien_camera_pose
-from codediffuser.datagen.envs import env_id
+from codediffuser.datagen.envs import physics_env
 from codediffuser.datagen.rendering import Renderer
 from codediffuser.datagen.robot import base_pose
 from codediffuser.datagen.scene_sampler import sample_scene
@@ -85,7 +83,7 @@ def run_bench(
     """Measure both phases; takes about a minute on two cores."""
     task = get_task(task_name)
     scene = sample_scene(task, root_seed=0, index=0)
-    env = gym.make(env_id(task_name), scene=scene, obs_mode="none", render_backend="none").unwrapped
+    env = physics_env(task, scene)
     began = time.perf_counter()
     run = run_expert(env, scene, np.random.default_rng(0))
     steps_per_s = run.trajectory.num_steps / (time.perf_counter() - began)

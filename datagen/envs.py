@@ -46,6 +46,13 @@ class SceneEnv(BaseEnv):
     SUPPORTED_ROBOTS = [ROBOT_UID]  # noqa: RUF012  ManiSkill's own declaration
     SUPPORTED_REWARD_MODES = ("sparse", "none")
 
+    agent: Any
+    scene: Any
+    scene_spec: SceneSpec
+    """The configuration that was reset to last."""
+    view: sim.SimView
+    """What scripts and checks see of the present state."""
+
     def __init__(
         self,
         *args: Any,
@@ -64,6 +71,7 @@ class SceneEnv(BaseEnv):
                 "throughput start several processes"
             )
         self.task = get_task(task) if isinstance(task, str) else task
+        self._shapes = sim.Shapes(self.task)
         self._variant = variant
         self._wanted_scene = scene
         self._draws = 0
@@ -157,8 +165,7 @@ class SceneEnv(BaseEnv):
         if self.backend.render_device is not None:
             super()._clear()
             return
-        self.agent = self.scene = self.view = None
-        self._hidden_objects = []
+        self.agent = self.scene = None
 
     def _load_agent(self, options: dict[str, Any]) -> None:
         super()._load_agent(options, base_pose(self.task.config.robot))
@@ -169,7 +176,7 @@ class SceneEnv(BaseEnv):
         self._add_actor(sim.make_ground(bodies=True, visuals=visuals), "ground")
         movable = {}
         for obj in self.scene_spec.objects:
-            entity = sim.make_object(obj, self.task.geometry(obj), bodies=True, visuals=visuals)
+            entity = sim.make_object(obj, self._shapes.of(obj), bodies=True, visuals=visuals)
             self._add_actor(entity, obj.id)
             if not obj.fixed:
                 movable[obj.id] = entity.find_component_by_type(
@@ -247,6 +254,16 @@ class SceneEnv(BaseEnv):
             "place_position": place,
         }
         return {k: torch.from_numpy(v.astype(np.float32))[None] for k, v in parts.items()}
+
+
+def physics_env(task: str | Task, scene: SceneSpec | None = None) -> SceneEnv:
+    """Environment for the physics phase: no observations, no renderer, no Vulkan.
+
+    Args:
+        task: Registered name, or a task with its own configuration.
+        scene: What it is reset to at once; None draws one.
+    """
+    return SceneEnv(task=task, scene=scene, obs_mode="none", render_backend="none")
 
 
 def env_id(task_name: str) -> str:

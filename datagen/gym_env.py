@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 
 from codediffuser.datagen.controllers import action_space
-from codediffuser.datagen.envs import SceneEnv, env_id
+from codediffuser.datagen.envs import SceneEnv, env_id, physics_env
 from codediffuser.datagen.rendering import Frame, Renderer
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
@@ -113,14 +113,9 @@ class TaskEnv(gym.Env[dict[str, Any], np.ndarray]):
         super().reset(seed=seed)
         scene = (options or {}).get("scene") or self._draw_scene()
         if self._sim is None:
-            self._sim = gym.make(
-                env_id(self.task),
-                task=self._task,
-                scene=scene,
-                obs_mode="none",
-                render_backend="none",
-            ).unwrapped
-        self._sim.reset(options={"scene": scene})
+            self._sim = physics_env(self._task, scene)
+        else:
+            self._sim.reset(options={"scene": scene})
         if self._renderer is not None:
             self._renderer.set_scene(scene)
         self._steps, self._frames = 0, None

@@ -70,6 +70,7 @@ class Renderer:
             self._scene.add_entity(entity)
         sim.add_lights(self._scene)
         self._components = self._add_cameras()
+        self._shapes = sim.Shapes(task)
         self._objects: list[Any] = []
         self._movable: list[Any] = []
         self._object_index = np.zeros(0, dtype=np.int16)
@@ -81,7 +82,7 @@ class Renderer:
         for entity in self._objects:
             self._scene.remove_entity(entity)
         self._objects = [
-            sim.make_object(obj, self.task.geometry(obj), bodies=False, visuals=True)
+            sim.make_object(obj, self._shapes.of(obj), bodies=False, visuals=True)
             for obj in scene.objects
         ]
         for entity in self._objects:

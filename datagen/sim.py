@@ -15,7 +15,7 @@ from sapien import physx
 from trimesh.graph import smooth_shade
 
 from codediffuser.datagen.scene import ObjectSpec, SceneSpec
-from codediffuser.datagen.task import Geometry
+from codediffuser.datagen.task import Geometry, Task
 from codediffuser.datagen.views import Moment, MomentView
 
 SIM_HZ = 250
@@ -29,6 +29,26 @@ GROUND_Z_M = -1.0
 GROUND_COLOR_RGB = (0.28, 0.29, 0.31)
 CREASE_RAD = 0.5
 """Edges sharper than this stay sharp in pictures."""
+
+
+class Shapes:
+    """A task's geometries, each computed once: a scene holds a dozen bodies of two shapes.
+
+    Args:
+        task: Whose objects they are.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+        self._known: dict[object, Geometry] = {}
+
+    def of(self, obj: ObjectSpec) -> Geometry:
+        """The geometry of an object, by what `Task.geometry` may look at."""
+        sizes = tuple(sorted(obj.shape.items()))
+        key = (obj.category, sizes, obj.fixed, obj.place is None)
+        if key not in self._known:
+            self._known[key] = self._task.geometry(obj)
+        return self._known[key]
 
 
 def make_object(obj: ObjectSpec, geometry: Geometry, *, bodies: bool, visuals: bool) -> Any:

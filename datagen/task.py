@@ -270,7 +270,11 @@ class Task(ABC, Generic[C]):
 
     @abstractmethod
     def geometry(self, obj: ObjectSpec) -> Geometry:
-        """The body of one object of a scene, in its own frame."""
+        """The body of one object of a scene, in its own frame.
+
+        It may depend on the object's category, shape, fixedness and on whether it takes a place;
+        objects that agree in these share one geometry.
+        """
 
     @abstractmethod
     def script(self, view: SceneView, rng: np.random.Generator) -> Iterator[Move]:
