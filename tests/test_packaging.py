@@ -73,6 +73,8 @@ def test_the_wheel_owns_one_name_only(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"codediffuser"}
+    # LeRobot's plugin is a distribution of its own.
+    assert not any("lerobot_plugin" in name for name in names)
 
 
 def test_the_wheel_holds_every_module_and_data_file_of_the_stages(wheel: Path) -> None:
