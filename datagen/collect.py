@@ -80,6 +80,8 @@ def collect_demos(
         result = _take_in(outcome)
         results.append(result)
         yield result
+    # A killed run's processes may have outlived it for a moment, and left more.
+    _remove_leftovers(run)
     summary = summarize(results, workers=workers, wall_s=time.monotonic() - started)
     summary.save(run / SUMMARY)
 

@@ -65,7 +65,7 @@ class Trajectory:
         """Write one `.npz`, the same bytes for the same numbers."""
         arrays = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
         with atomic_path(path) as partial, partial.open("wb") as stream:
-            np.savez(stream, **arrays)
+            np.savez(stream, **arrays)  # type: ignore[arg-type]
 
     @classmethod
     def load(cls, path: Path) -> Trajectory:

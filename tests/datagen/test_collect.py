@@ -1,0 +1,332 @@
+"""Collecting goes on where it stopped, loses nothing, and records every failure.
+
+The first half replaces simulator and processes by stand-ins; the second half (`sim`) is real.
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from codediffuser.datagen import collect
+from codediffuser.datagen.demo_results import DemoFailure, DemoResult, failure_path, summarize
+from codediffuser.datagen.episode import Episode, load_manifest
+from codediffuser.datagen.episode_check import check_episode
+from codediffuser.datagen.record import (
+    DemoJob,
+    PictureOptions,
+    depth_to_mm,
+    record_demo,
+    rerender_episode,
+)
+from codediffuser.datagen.scene import SceneSpec
+from codediffuser.datagen.scene_sampler import sample_scene
+from codediffuser.datagen.task import CameraConfig, get_task
+from codediffuser.datagen.workers import Outcome
+from codediffuser.errors import ConfigError, EpisodeError, RenderError
+from codediffuser.files import sha256_file
+
+IDS = ("000000", "000001", "000002")
+
+
+class Stand:
+    """A stand-in for the processes: it notes which scenes it was given, and can be told to fail."""
+
+    def __init__(self, run, write):
+        self.run, self.write = run, write
+        self.given: list[str] = []
+        self.expert_fails: set[str] = set()
+        self.process_dies: set[str] = set()
+
+    def run_tasks(self, function, jobs, **_):
+        for job in jobs:
+            self.given.append(job.scene_id)
+            if job.scene_id in self.process_dies:
+                yield Outcome(job, None, "Traceback ...\nprocess killed by SIGSEGV", 2)
+            elif job.scene_id in self.expert_fails:
+                failure = DemoFailure(
+                    scene_id=job.scene_id, scene_sha256=sha256_file(job.scene_file),
+                    cause="expert", phase="grasp:missed", reason="upright",
+                )  # fmt: skip
+                failure.save(failure_path(job.run, job.scene_id))
+                yield Outcome(job, DemoResult.of_failure(failure), "", 1)
+            else:
+                folder, _, _ = self.write(self.run, job.scene_id)
+                yield Outcome(job, DemoResult.of_episode(load_manifest(folder)), "", 1)
+
+    def collect(self, **options):
+        self.given.clear()
+        return {r.scene_id: r for r in collect.collect_demos(self.run, **options)}
+
+
+@pytest.fixture
+def stand(tmp_path, small_scene, write_synthetic_episode, monkeypatch):
+    for scene_id in IDS:
+        scene = small_scene.model_copy(update={"scene_id": scene_id})
+        scene.save(tmp_path / "scenes" / f"{scene_id}.yaml")
+    stand = Stand(tmp_path, write_synthetic_episode)
+    monkeypatch.setattr(collect, "run_tasks", stand.run_tasks)
+    return stand
+
+
+def test_every_scene_gets_an_episode_and_the_run_a_summary(stand):
+    results = stand.collect(workers=2)
+    assert set(results) == set(IDS)
+    assert all(r.success and not r.earlier for r in results.values())
+    summary = json.loads((stand.run / "demo_summary.json").read_text())
+    assert (summary["scenes"], summary["episodes"], summary["success_rate"]) == (3, 3, 1.0)
+    assert summary["workers"] == 2
+    assert summary["bytes_per_episode"] > 1000
+
+
+def test_whole_episodes_are_not_made_again(stand):
+    stand.collect()
+    results = stand.collect()
+    assert stand.given == []
+    assert all(r.success and r.earlier for r in results.values())
+    shutil.rmtree(stand.run / "episodes" / IDS[1])
+    stand.collect()
+    assert stand.given == [IDS[1]]
+
+
+def test_overwrite_makes_all_again(stand):
+    stand.collect()
+    stand.collect(overwrite=True)
+    assert stand.given == list(IDS)
+
+
+def test_a_failure_is_recorded_and_not_tried_again(stand):
+    stand.expert_fails = {IDS[1]}
+    first = stand.collect()[IDS[1]]
+    assert (first.success, first.phase, first.reason) == (False, "grasp:missed", "upright")
+    again = stand.collect()[IDS[1]]
+    assert (again.success, again.earlier, again.phase) == (False, True, "grasp:missed")
+    assert stand.given == []
+    summary = json.loads((stand.run / "demo_summary.json").read_text())
+    assert summary["failures_by_phase"] == {"grasp:missed": 1}
+    assert summary["failed_scenes"] == {IDS[1]: "upright"}
+    assert summary["success_rate"] == pytest.approx(2 / 3)
+
+
+def test_a_failure_is_tried_again_when_its_scene_changed_or_by_overwrite(stand, small_scene):
+    stand.expert_fails = {IDS[1]}
+    stand.collect()
+    stand.collect(overwrite=True)
+    assert IDS[1] in stand.given
+    changed = small_scene.model_copy(update={"scene_id": IDS[1], "split": "val"})
+    changed.save(stand.run / "scenes" / f"{IDS[1]}.yaml")
+    stand.collect()
+    assert stand.given == [IDS[1]]
+
+
+def test_a_scene_whose_process_died_is_recorded_and_tried_again_next_time(stand):
+    stand.process_dies = {IDS[2]}
+    result = stand.collect()[IDS[2]]
+    assert (result.success, result.reason) == (False, "process killed by SIGSEGV")
+    assert failure_path(stand.run, IDS[2]).is_file()
+    stand.process_dies = set()
+    assert stand.collect()[IDS[2]].success
+    assert stand.given == [IDS[2]]
+    assert not failure_path(stand.run, IDS[2]).exists()
+
+
+def test_what_killed_processes_left_is_removed(stand):
+    stand.collect()
+    left = stand.run / "episodes" / ".partial-999999999-000007"
+    left.mkdir()
+    stand.collect()
+    assert not left.exists()
+
+
+def test_a_damaged_episode_is_made_again(stand):
+    stand.collect()
+    log = stand.run / "episodes" / IDS[0] / "episode.mcap"
+    log.write_bytes(log.read_bytes()[:1000])
+    stand.collect()
+    assert stand.given == [IDS[0]]
+    assert check_episode(log.parent) == []
+
+
+def test_an_episode_of_another_scene_is_refused(stand, small_scene):
+    stand.collect()
+    changed = small_scene.model_copy(update={"scene_id": IDS[1], "split": "val"})
+    changed.save(stand.run / "scenes" / f"{IDS[1]}.yaml")
+    with pytest.raises(EpisodeError, match=r"recorded from another scene .* --overwrite"):
+        stand.collect()
+
+
+def test_a_run_without_scenes_says_so(tmp_path):
+    with pytest.raises(ConfigError, match="expected scene files, found none; run sample first"):
+        next(collect.collect_demos(tmp_path))
+
+
+def test_a_summary_of_nothing_divides_by_nothing():
+    summary = summarize([], workers=1, wall_s=0.0)
+    assert (summary.success_rate, summary.camera_sets_per_s, summary.episodes_per_hour) == (0, 0, 0)
+
+
+def test_depth_is_rounded_to_whole_millimetres():
+    depth_m = np.array([[0.0, 0.0014, 0.0016, 5.0, 99.0]], dtype=np.float32)
+    assert depth_to_mm(depth_m).tolist() == [[0, 1, 2, 5000, 65535]]
+
+
+# With the simulator. One small camera: what is tested is the collecting, not the pictures.
+
+ONE_CAMERA = PictureOptions(
+    cameras=CameraConfig(
+        width=32, height=24, views=get_task("pack_battery").config.cameras.views[:1]
+    )
+)
+
+
+def write_scenes(run, count=3):
+    task = get_task("pack_battery")
+    for index in range(count):
+        scene = sample_scene(task, root_seed=3, index=index)
+        scene.save(run / "scenes" / f"{scene.scene_id}.yaml")
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory):
+    """Three scenes collected without interruption by one process."""
+    run = tmp_path_factory.mktemp("collected")
+    write_scenes(run)
+    results = list(collect.collect_demos(run, workers=1, options=ONE_CAMERA))
+    assert [r.success for r in results] == [True] * 3
+    return run
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+def test_collected_episodes_are_flawless_and_their_pictures_those_of_the_renderer(collected):
+    from codediffuser.datagen.rendering import Renderer
+    from codediffuser.datagen.views import moment_at
+
+    for scene_id in IDS:
+        assert check_episode(collected / "episodes" / scene_id) == []
+    episode = Episode.open(collected / "episodes" / IDS[0], verify=True)
+    assert (episode.num_frames, list(episode.cameras)) == (185, ["left_bottom"])
+    renderer = Renderer(get_task("pack_battery"), ONE_CAMERA.cameras)
+    renderer.set_scene(episode.scene)
+    seen = renderer.render(moment_at(episode.trajectory, 100))["left_bottom"]
+    stored = episode.frame(100)
+    np.testing.assert_array_equal(stored.depth_m["left_bottom"], seen.depth_m)
+    # JPEG is lossy; at this size single pixels are off by more.
+    error = np.abs(stored.rgb["left_bottom"].astype(int) - seen.rgb)
+    assert error.mean() < 8
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+def test_killed_twice_two_processes_end_with_the_bytes_of_one_uninterrupted(collected, tmp_path):
+    write_scenes(tmp_path)
+    episodes = tmp_path / "episodes"
+    _kill_when(tmp_path, 1, lambda: any(episodes.glob(".partial-*/episode.mcap")))
+    assert not any(episodes.glob("0*"))
+    _kill_when(tmp_path, 2, lambda: any(episodes.glob("0*/episode.json")))
+    whole = sorted(episodes.glob("0*"))
+    assert [check_episode(folder) for folder in whole] == [[]] * len(whole)
+    results = list(collect.collect_demos(tmp_path, workers=2, options=ONE_CAMERA))
+    assert {r.scene_id for r in results if r.earlier} == {folder.name for folder in whole}
+    assert sorted(r.scene_id for r in results) == list(IDS)
+    assert {p.name for p in episodes.iterdir()} == set(IDS)
+    for name in ("states.npz", "scene.yaml", "episode.mcap"):
+        for scene_id in IDS:
+            path = f"episodes/{scene_id}/{name}"
+            assert (tmp_path / path).read_bytes() == (collected / path).read_bytes(), path
+
+
+@pytest.mark.sim
+def test_an_unreachable_object_is_a_recorded_failure(tmp_path):
+    write_scenes(tmp_path, count=1)
+    job = DemoJob(tmp_path, IDS[0], ONE_CAMERA)
+    scene = SceneSpec.load(job.scene_file)
+    far = [
+        o.model_copy(update={"position_m": (0.3, 0.85, 0.0)}) if o.id == scene.target.pick else o
+        for o in scene.objects
+    ]
+    scene.model_copy(update={"objects": tuple(far)}).save(job.scene_file)
+    job.folder.mkdir(parents=True)
+    result = record_demo(job)
+    assert not result.success
+    assert result.phase.endswith(":unreachable")
+    assert "no joint angles reach" in result.reason
+    failure = DemoFailure.load(failure_path(tmp_path, IDS[0]))
+    assert (failure.phase, failure.repeatable) == (result.phase, True)
+    assert not job.folder.exists(), "an older episode of the scene is gone"
+
+
+@pytest.fixture
+def own_copy(collected, tmp_path):
+    """One collected episode in a run of its own, without scene files."""
+    source = collected / "episodes" / IDS[0]
+    shutil.copytree(source, tmp_path / "episodes" / IDS[0])
+    return tmp_path
+
+
+@pytest.mark.sim
+def test_a_camera_that_sees_nothing_is_named_and_the_episode_stays(own_copy):
+    up = ONE_CAMERA.cameras.views[0].model_copy(update={"look": (0.0, 0.0, 1.0)})
+    cameras = ONE_CAMERA.cameras.model_copy(update={"views": (up,)})
+    with pytest.raises(RenderError, match=r"camera 'left_bottom' .* sees nothing of the workspace"):
+        rerender_episode(DemoJob(own_copy, IDS[0], PictureOptions(cameras=cameras)))
+    assert check_episode(own_copy / "episodes" / IDS[0]) == []
+
+
+@pytest.mark.sim
+def test_pictures_are_made_again_in_another_size_and_all_else_stays(own_copy, monkeypatch):
+    monkeypatch.setattr(
+        collect, "run_tasks", lambda do, jobs, **_: (Outcome(j, do(j), "", 1) for j in jobs)
+    )
+    folder = own_copy / "episodes" / IDS[0]
+    (folder / "labels.json").write_text("{}")
+    before = Episode.open(folder)
+    larger = PictureOptions(width=64, height=48, cameras=ONE_CAMERA.cameras)
+    (result,) = collect.rerender(own_copy, options=larger)
+    assert (result.success, result.earlier) == (True, False)
+    assert check_episode(folder) == []
+    after = Episode.open(folder)
+    assert after.frame(0).rgb["left_bottom"].shape == (48, 64, 3)
+    assert (folder / "labels.json").read_text() == "{}"
+    for name in ("states.npz", "scene.yaml"):
+        assert after.manifest.files[name] == before.manifest.files[name]
+    for key in ("id", "seed", "instruction", "success", "conditions", "frames"):
+        assert getattr(after.manifest, key) == getattr(before.manifest, key)
+    (again,) = collect.rerender(own_copy, options=larger)
+    assert again.earlier
+
+
+def _kill_when(run, workers, is_now):
+    """Start collecting and kill it, hard, when the moment has come."""
+    cameras = ONE_CAMERA.cameras.model_dump_json()
+    script = run / "work.py"
+    script.write_text(
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from codediffuser.datagen.collect import collect_demos\n"
+        "from codediffuser.datagen.record import PictureOptions\n"
+        "from codediffuser.datagen.task import CameraConfig\n"
+        "if __name__ == '__main__':\n"
+        f"    cameras = CameraConfig.model_validate_json({cameras!r})\n"
+        "    options = PictureOptions(cameras=cameras)\n"
+        "    print('go', flush=True)\n"
+        f"    list(collect_demos(Path({str(run)!r}), workers={workers}, options=options))\n"
+    )
+    process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE)
+    assert process.stdout.readline() == b"go\n"
+    end = time.monotonic() + 240
+    while not is_now():
+        assert process.poll() is None, "ended before the kill"
+        assert time.monotonic() < end, "the moment did not come"
+        time.sleep(0.005)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    # Its processes notice as soon as they get to run.
+    time.sleep(0.5)
