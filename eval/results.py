@@ -100,7 +100,7 @@ class RolloutResult(Document):
     steps: int = 0
     """Control steps that were executed."""
     observations: int = 0
-    """Clouds that were made: two per plan, for a history of two frames."""
+    """Clouds that were made: one for the first plan, two for each later one (history)."""
     ik_failures: int = 0
     """Steps whose commanded pose had no joint solution, so that the arm held still."""
     wall_s: float = 0.0

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from codediffuser.datasets.clouds import CloudConfig
+from codediffuser.datasets.export_meta import DatasetDocument
 from codediffuser.eval.results import (
     AttentionRecord,
     ConditionValue,
@@ -17,6 +20,7 @@ from codediffuser.eval.results import (
     RolloutResult,
 )
 from codediffuser.eval.summary import summarize
+from codediffuser.files import write_json
 
 
 @pytest.fixture
@@ -75,3 +79,51 @@ def make_results(make_rollout: Callable[..., RolloutResult]) -> Callable[..., Ev
         )  # fmt: skip
 
     return make
+
+
+@pytest.fixture
+def eval_run(tmp_path: Path) -> Path:
+    """A run folder with an export's documents and a checkpoint that cannot be loaded."""
+    run = tmp_path / "run"
+    write_json(run / "lerobot" / "meta" / "info.json", {"codebase_version": "v3.0", "features": {}})
+    DatasetDocument(
+        profile="pointcloud", task="pack_battery", cloud=CloudConfig(), source="run", episodes=(),
+        left_out=(), versions={}, git_commit="abc", content_sha256="def",
+    ).save(run / "lerobot" / "meta" / "codediffuser.json")  # fmt: skip
+    model = run / "checkpoints" / "cpu" / "000500" / "pretrained_model"
+    write_json(model / "config.json", {"type": "attention_diffusion"})
+    return run
+
+
+@pytest.fixture
+def random_checkpoint(eval_run: Path) -> Path:
+    """The same run with a small policy of random weights as its newest checkpoint."""
+    import numpy as np
+    import torch
+
+    from codediffuser.training.build import policy_config
+    from codediffuser.training.policies.attention_diffusion import frame as frames
+    from codediffuser.training.policies.attention_diffusion import (
+        modeling_attention_diffusion as modeling,
+    )
+    from codediffuser.training.policies.attention_diffusion import (
+        processor_attention_diffusion as processor,
+    )
+
+    options = {
+        "type": "attention_diffusion", "down_dims": [16, 32], "encoder_dim": 16,
+        "num_inference_steps": 2, "crop_pick_points": 8, "crop_place_points": 8,
+        "crop_hand_points": 8,
+    }  # fmt: skip
+    config = policy_config(options, CloudConfig().num_points * 5, "cpu")
+    low, high = np.full(10, -0.05, np.float32), np.full(10, 0.05, np.float32)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        policy = modeling.AttentionDiffusionPolicy(
+            config, ranges=frames.PoseRanges(low, high, low, high)
+        )
+    folder = eval_run / "checkpoints" / "random" / "000001" / "pretrained_model"
+    policy.save_pretrained(folder)
+    for pipeline in processor.make_attention_diffusion_pre_post_processors(policy.config):
+        pipeline.save_pretrained(folder)
+    return eval_run
