@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from codediffuser.training.policies.attention_diffusion.modeling_attention_diffusion import (
         AttentionDiffusionPolicy,
     )
+    from codediffuser.training.policy_document import PolicyDocument
     from codediffuser.training.trainer import Trainer
 
 MODEL_FOLDER = "pretrained_model"
 STATE_FOLDER = "training_state"
 LAST = "last"
+POLICY_FILE = "codediffuser.json"
 POLICY_TYPE = "attention_diffusion"
 
 
@@ -44,8 +46,14 @@ def latest_checkpoint(out: Path) -> Path | None:
     return found[-1] if found else None
 
 
-def save_checkpoint(out: Path, trainer: Trainer, keep: int) -> Path:
+def save_checkpoint(out: Path, trainer: Trainer, document: PolicyDocument, keep: int) -> Path:
     """Write the trainer's state under its step number, then delete all but the `keep` newest.
+
+    Args:
+        out: Folder of the training.
+        trainer: What to save.
+        document: What the checkpoint says about itself.
+        keep: How many checkpoints to keep.
 
     Returns:
         The checkpoint's folder.
@@ -53,6 +61,7 @@ def save_checkpoint(out: Path, trainer: Trainer, keep: int) -> Path:
     target = out / f"{trainer.step:06d}"
     with atomic_folder(target) as partial:
         trainer.save(partial / MODEL_FOLDER, partial / STATE_FOLDER)
+        document.save(partial / MODEL_FOLDER / POLICY_FILE)
     link = out / f"{TEMPORARY_PREFIX}{os.getpid()}-{LAST}"
     link.unlink(missing_ok=True)
     link.symlink_to(target.name)
@@ -130,6 +139,9 @@ def _load(folder: Path, device: str) -> Any:
 
     from codediffuser.training.policies.attention_diffusion import (
         modeling_attention_diffusion as modeling,
+    )
+    from codediffuser.training.policies.attention_diffusion import (
+        processor_attention_diffusion,  # noqa: F401  registers the steps that the files name
     )
 
     config = PreTrainedConfig.from_pretrained(folder)

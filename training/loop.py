@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from codediffuser.datasets.cache import WindowCache
+    from codediffuser.training.policy_document import PolicyDocument
     from codediffuser.training.trainer import Trainer, Validation, Windows
 
 logger = logging.getLogger(__name__)
@@ -88,11 +89,15 @@ def train(
         trainer, learn, check = _prepare(cache, config, train_on, hold_out)
         claim_folder(out, _record(cache, config, train_on, hold_out), overwrite=overwrite)
         _resume(trainer, out)
-        yield from _steps(trainer, learn, check, out)
+        yield from _steps(trainer, learn, check, out, _document(cache, len(train_on)))
 
 
 def _steps(
-    trainer: Trainer, learn: Windows, check: Windows | None, out: Path
+    trainer: Trainer,
+    learn: Windows,
+    check: Windows | None,
+    out: Path,
+    document: PolicyDocument,
 ) -> Iterator[TrainProgress]:
     """The loop itself: steps, and at their intervals reports, validations and checkpoints.
 
@@ -116,7 +121,7 @@ def _steps(
         progress = _progress(trainer, losses, spent_s, measured)
         append_row(out, {**asdict(progress), "checkpoint": None, "elapsed_s": trainer.elapsed_s})
         if saves:
-            folder = save_checkpoint(out, trainer, config.keep_checkpoints)
+            folder = save_checkpoint(out, trainer, document, config.keep_checkpoints)
             progress = replace(progress, checkpoint=folder)
             plot_log(out)
         yield progress
@@ -173,6 +178,20 @@ def _record(
     )
 
 
+def _document(cache: WindowCache, num_episodes: int) -> PolicyDocument:
+    from codediffuser.training.policy_document import PolicyDocument
+
+    known = cache.document
+    return PolicyDocument(
+        task=known.task if known else None,
+        cloud=known.cloud if known else None,
+        dataset_fingerprint=cache.fingerprint,
+        episodes=num_episodes,
+        versions=versions(),
+        git_commit=git_commit(),
+    )
+
+
 def _prepare(
     cache: WindowCache, config: TrainConfig, train_on: list[int], hold_out: list[int]
 ) -> tuple[Trainer, Windows, Windows | None]:
@@ -193,11 +212,13 @@ def _prepare(
 
 def _resume(trainer: Trainer, out: Path) -> None:
     """Go on from the newest whole checkpoint, if there is one."""
+    from safetensors import SafetensorError
+
     newest = latest_checkpoint(out)
     if newest is not None:
         try:
             trainer.load(newest / MODEL_FOLDER, newest / STATE_FOLDER)
-        except (OSError, ValueError, KeyError, RuntimeError) as error:
+        except (OSError, ValueError, KeyError, RuntimeError, SafetensorError) as error:
             raise CheckpointError(
                 f"{newest}: cannot be continued: {error}; delete this folder to go on from the "
                 "one before, or start anew with --overwrite"

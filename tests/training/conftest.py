@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codediffuser.datasets.features import ACTION, POINTS, STATE
+from codediffuser.datasets.features import ACTION, EPISODE_ID, LABELS, POINTS, STATE
 from codediffuser.training.config import TrainConfig, load_preset
 
 NUM_POINTS = 96
@@ -50,15 +50,21 @@ def write_export(root: Path, episodes: list[dict[str, np.ndarray]]) -> Path:
     def vector(length: int) -> dict[str, object]:
         return {"dtype": "float32", "shape": (length,), "names": [f"v{i}" for i in range(length)]}
 
-    features = {POINTS: vector(NUM_POINTS * 5), STATE: vector(10), ACTION: vector(10)}
+    text = {"dtype": "string", "shape": (1,), "names": None}
+    features = {
+        POINTS: vector(NUM_POINTS * 5), STATE: vector(10), ACTION: vector(10),
+        LABELS: text, EPISODE_ID: text,
+    }  # fmt: skip
     dataset = LeRobotDataset.create("toy/points", 25, features, root=root, use_videos=False)
-    for episode in episodes:
+    for number, episode in enumerate(episodes):
         for t in range(STEPS):
             dataset.add_frame(
                 {
                     POINTS: episode["points"][t].reshape(-1),
                     STATE: episode["state"][t],
                     ACTION: episode["action"][t],
+                    LABELS: "{}",
+                    EPISODE_ID: f"toy_{number}",
                     "task": "put the thing there",
                 }
             )
@@ -81,7 +87,7 @@ def toy_export(
     return write_export(tmp_path_factory.mktemp("toy_run") / "lerobot", toy_episodes)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def tiny_config() -> TrainConfig:
     """The `cpu` preset, small enough for a test."""
     return load_preset("cpu").with_changes(

@@ -14,6 +14,7 @@ from codediffuser.training.policies.attention_diffusion.selection import (
     find_centers,
     merge_channels,
     select,
+    tool_centers,
 )
 
 HAND = torch.tensor([[0.0, 0.0, 0.3]])
@@ -42,7 +43,7 @@ def test_crop_takes_attended_points_and_points_near_the_hand() -> None:
     chosen = select(xyz, attention, HAND, options())
     assert chosen.xyz.shape == (1, 30, 3)
     assert chosen.attended[0, :12, 0].all() and chosen.attended[0, 12:20, 1].all()
-    assert ((chosen.xyz[0, 20:] - HAND).norm(dim=-1) <= 0.13).all()
+    assert ((chosen.xyz[0, 20:] - HAND).norm(dim=-1) <= 0.12).all()
 
 
 def test_crop_does_not_depend_on_the_order_of_points() -> None:
@@ -51,7 +52,7 @@ def test_crop_does_not_depend_on_the_order_of_points() -> None:
     order = torch.randperm(120, generator=torch.Generator().manual_seed(3))
     for points, values in ((xyz, attention), (xyz[:, order], attention[:, order])):
         chosen = select(points, values, HAND, config)
-        near = {tuple(p) for p in xyz[0][(xyz[0] - HAND).norm(dim=-1) <= 0.13].tolist()}
+        near = {tuple(p) for p in xyz[0][(xyz[0] - HAND).norm(dim=-1) <= 0.12].tolist()}
         assert {tuple(p) for p in chosen.xyz[0, 20:].tolist()} <= near
         assert chosen.attended[0, :20].any(dim=-1).all()
 
@@ -137,3 +138,9 @@ def test_small_clouds_are_enough(mode: str) -> None:
     config = options(attention_channels=mode)
     chosen = select(xyz[:, :5], merge_channels(attention[:, :5], mode), HAND, config)
     assert chosen.xyz.isfinite().all()
+
+
+def test_tool_center_lies_below_a_hand_that_points_down() -> None:
+    hand = torch.tensor([0.1, 0.2, 0.5, 1, 0, 0, 0, -1, 0, 0.04])
+    expected = torch.tensor([0.1, 0.2, 0.4])
+    assert torch.allclose(tool_centers(hand, 0.1), expected)

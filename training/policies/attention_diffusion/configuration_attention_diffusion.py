@@ -61,8 +61,10 @@ class AttentionDiffusionConfig(PreTrainedConfig):
     crop_pick_points: int = 56
     crop_place_points: int = 40
     crop_hand_points: int = 56
-    hand_radius_m: float = 0.13
-    """Points closer than this to the hand's origin count as near it."""
+    hand_radius_m: float = 0.12
+    """Points this close to the tool centre, between the finger tips, count as near the hand."""
+    tool_offset_m: float = 0.1034
+    """From the origin of the hand to the tool centre, along the hand's z axis."""
     trim_factor: float = 2.5
     """Attended points farther from their centre than this many median distances lose their
     attention: strays. Targets drawn out along a line stay whole: ends lie at 2. 0 trims not."""

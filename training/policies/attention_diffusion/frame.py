@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from codediffuser.datasets import parquet_reader
 from codediffuser.datasets.features import ACTION, STATE
-from codediffuser.errors import ConfigError, DatasetError
+from codediffuser.errors import ConfigError
 
 POSE_DIM = 10
 MIN_RANGE = 0.01
@@ -71,28 +72,13 @@ def read_poses(root: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Only these columns are read, so this takes a moment even when the clouds are large.
 
     Raises:
-        DatasetError: The folder has no such columns.
+        DatasetError: The folder is no such dataset.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        files = sorted((root / "data").rglob("*.parquet"))
-        table = pa.concat_tables(
-            [pq.read_table(f, columns=[STATE, ACTION, "episode_index"]) for f in files]
-        )
-    except (OSError, pa.ArrowException) as error:
-        raise DatasetError(
-            f"{root}: expected a LeRobot v3 dataset with '{STATE}' and '{ACTION}': {error}"
-        ) from None
-
-    def poses(name: str) -> np.ndarray:
-        flat = table.column(name).combine_chunks().flatten().to_numpy(zero_copy_only=False)
-        return np.asarray(flat, dtype=np.float32).reshape(table.num_rows, POSE_DIM)
-
-    episode = table.column("episode_index").to_numpy()
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(episode)) + 1, [len(episode)]])
-    return poses(STATE), poses(ACTION), starts
+    batches = list(parquet_reader.read_frames(root, {STATE: POSE_DIM, ACTION: POSE_DIM}))
+    rows = parquet_reader.read_episode_rows(root)
+    starts = [int(row["dataset_from_index"]) for row in rows]
+    state, action = (np.concatenate([b[key] for b in batches]) for key in (STATE, ACTION))
+    return state, action, np.array([*starts, len(state)])
 
 
 class PoseFrame(nn.Module):

@@ -28,7 +28,11 @@ from codediffuser.training.policies.attention_diffusion.frame import (
     read_poses,
 )
 from codediffuser.training.policies.attention_diffusion.sampling import ActionDiffusion
-from codediffuser.training.policies.attention_diffusion.selection import merge_channels, select
+from codediffuser.training.policies.attention_diffusion.selection import (
+    merge_channels,
+    select,
+    tool_centers,
+)
 
 CENTER_SCALE_M = 0.1
 """Unit of the centres that condition the denoiser."""
@@ -192,9 +196,8 @@ class AttentionDiffusionPolicy(PreTrainedPolicy):
         flat = clouds.flatten(0, 1)
         attention = merge_channels(flat[..., 3:], self.config.attention_channels)
         generator = None if self.training else self._generator
-        chosen = select(
-            flat[..., :3], attention, state[..., :3].flatten(0, 1), self.config, generator
-        )
+        tool = tool_centers(state, self.config.tool_offset_m).flatten(0, 1)
+        chosen = select(flat[..., :3], attention, tool, self.config, generator)
         center = origin.repeat_interleave(steps, dim=0)[:, None]
         parts = [self.encoder(chosen.xyz - center, chosen.attention, chosen.attended)]
         if self.config.use_centroids:

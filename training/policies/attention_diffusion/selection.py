@@ -89,10 +89,16 @@ def _masked_mean(xyz: Tensor, mask: Tensor) -> Tensor:
     return (weight @ xyz) / weight.sum(dim=-1, keepdim=True).clamp_min(1.0)
 
 
+def tool_centers(state: Tensor, offset_m: float) -> Tensor:
+    """Points (..., 3) between the finger tips, from hand poses (..., 10) in the world."""
+    x, y = state[..., 3:6], state[..., 6:9]
+    return state[..., :3] + offset_m * torch.linalg.cross(x, y)
+
+
 def select(
     xyz: Tensor,
     attention: Tensor,
-    hand_position: Tensor,
+    tool: Tensor,
     config: AttentionDiffusionConfig,
     generator: torch.Generator | None = None,
 ) -> Selection:
@@ -101,7 +107,7 @@ def select(
     Args:
         xyz: (M, N, 3) metres, world.
         attention: (M, N, C) from `merge_channels`.
-        hand_position: (M, 3) metres, world, of each cloud's own moment.
+        tool: (M, 3) metres, world: the tool centre of each cloud's own moment.
         config: Options of the policy.
         generator: Source of the random crop.
     """
@@ -110,7 +116,7 @@ def select(
     present = attended.any(dim=1).to(xyz.dtype)
     if not config.crop:
         return Selection(xyz, attention, attended, centers, present)
-    index = _crop(xyz, attended, hand_position, config, generator)
+    index = _crop(xyz, attended, tool, config, generator)
     attended = take(attended.to(xyz.dtype), index) > 0
     return Selection(take(xyz, index), take(attention, index), attended, centers, present)
 
@@ -119,12 +125,12 @@ def select(
 def _crop(
     xyz: Tensor,
     attended: Tensor,
-    hand_position: Tensor,
+    tool: Tensor,
     config: AttentionDiffusionConfig,
     generator: torch.Generator | None,
 ) -> Tensor:
     """Indices (M, K) of the points to look at."""
-    near = _near_hand(xyz, hand_position, config, generator)
+    near = _near_hand(xyz, tool, config, generator)
     pick, place = config.crop_pick_points, config.crop_place_points
     if config.attention_channels == "none":
         # Clouds hold more points where attention is, so a random rest would give the targets away.
@@ -150,12 +156,12 @@ def _random_attended(mask: Tensor, count: int, generator: torch.Generator | None
 
 def _near_hand(
     xyz: Tensor,
-    hand_position: Tensor,
+    tool: Tensor,
     config: AttentionDiffusionConfig,
     generator: torch.Generator | None,
 ) -> Tensor:
     """Random points within the hand's radius; if too few, the nearest beyond it."""
-    beyond = (xyz - hand_position[:, None]).norm(dim=-1) - config.hand_radius_m
+    beyond = (xyz - tool[:, None]).norm(dim=-1) - config.hand_radius_m
     keys = torch.rand(beyond.shape, generator=generator, device=xyz.device)
     keys = torch.where(beyond <= 0, keys, -beyond)
     return keys.topk(min(config.crop_hand_points, xyz.shape[1]), dim=1).indices
