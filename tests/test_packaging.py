@@ -38,7 +38,6 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", out, sources],
         check=True,
-        capture_output=True,
     )
     (built,) = out.glob("*.whl")
     return built
