@@ -30,6 +30,7 @@ from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.task import CameraConfig, Check, get_task
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.datagen.views import moment_at
+from codediffuser.errors import ConfigError
 from codediffuser.files import TEMPORARY_PREFIX, sha256_file
 from codediffuser.seeding import Stage, rng_for
 
@@ -87,6 +88,11 @@ def record_demo(job: DemoJob) -> DemoResult:
     from codediffuser.datagen.script import run_expert
 
     scene = SceneSpec.load(job.scene_file)
+    if scene.scene_id != job.scene_id:
+        raise ConfigError(
+            f"{job.scene_file}: expected scene_id '{job.scene_id}' as its name says, got "
+            f"'{scene.scene_id}'; rename the file or change the entry"
+        )
     env = _simulator(scene.task)
     rng = rng_for(scene.seed.root, Stage.EXPERT, scene.seed.index)
     started = time.perf_counter()

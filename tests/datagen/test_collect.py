@@ -242,6 +242,15 @@ def test_killed_twice_two_processes_end_with_the_bytes_of_one_uninterrupted(coll
             assert (tmp_path / path).read_bytes() == (collected / path).read_bytes(), path
 
 
+def test_a_scene_under_another_name_is_refused(tmp_path, small_scene):
+    job = DemoJob(tmp_path, IDS[0], ONE_CAMERA)
+    small_scene.save(job.scene_file)
+    with pytest.raises(
+        ConfigError, match="expected scene_id '000000' as its name says, got '000042'"
+    ):
+        record_demo(job)
+
+
 @pytest.mark.sim
 def test_an_unreachable_object_is_a_recorded_failure(tmp_path):
     write_scenes(tmp_path, count=1)
