@@ -140,16 +140,15 @@ class SceneEnv(BaseEnv):
                 f"scene {given.scene_id} is of task '{given.task}', this environment is of "
                 f"'{self.task.name}'"
             )
+        if seed is not None:
+            self._root_seed, self._draws = int(np.ravel(seed)[0]), 0
         first, self._wanted_scene = self._wanted_scene, None
-        self.scene_spec = given or first or self._draw_scene(seed)
+        self.scene_spec = given or first or self._draw_scene()
         return super().reset(seed=seed, options={**options, "reconfigure": True})
 
-    def _draw_scene(self, seed: int | list[int] | None) -> SceneSpec:
+    def _draw_scene(self) -> SceneSpec:
         from codediffuser.datagen.scene_sampler import sample_scene
 
-        if seed is not None:
-            self._root_seed = int(np.ravel(seed)[0])
-            self._draws = 0
         self._draws += 1
         return sample_scene(
             self.task,

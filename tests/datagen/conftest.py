@@ -1,8 +1,9 @@
-"""Builders for scenes; no simulator."""
+"""Builders for scenes, and the simulators that several tests share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -11,6 +12,11 @@ from codediffuser.datagen.scene import ObjectSpec, SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
 from codediffuser.datagen.task import Layout
 from codediffuser.datagen.tasks.pack_battery import PackBattery
+
+if TYPE_CHECKING:
+    from codediffuser.datagen.envs import SceneEnv
+    from codediffuser.datagen.rendering import Renderer
+    from codediffuser.datagen.script import ExpertRun
 
 
 @pytest.fixture(scope="session")
@@ -45,3 +51,30 @@ def make_layout(pack_battery: PackBattery) -> Callable[..., Layout]:
         return Layout((*batteries, crate_object(crate)), slots)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def physics(pack_battery: PackBattery, scenes: list[SceneSpec]) -> SceneEnv:
+    """Physics of pack_battery without a renderer; every test resets it."""
+    from codediffuser.datagen.envs import physics_env
+
+    return physics_env(pack_battery, scenes[0])
+
+
+@pytest.fixture(scope="session")
+def expert_run(physics: SceneEnv, scenes: list[SceneSpec]) -> ExpertRun:
+    """One demonstration, in the first scene."""
+    import numpy as np
+
+    from codediffuser.datagen.script import run_expert
+
+    return run_expert(physics, scenes[0], np.random.default_rng(0))
+
+
+@pytest.fixture(scope="session")
+def small_renderer(pack_battery: PackBattery) -> Renderer:
+    """All cameras at 160x120; every test sets its scene."""
+    from codediffuser.datagen.rendering import Renderer
+
+    cameras = pack_battery.config.cameras.model_copy(update={"width": 160, "height": 120})
+    return Renderer(pack_battery, cameras)
