@@ -53,6 +53,10 @@ class ProgramError(CodeDiffuserError):
     """A generated program is not allowed, fails, or answers with something that is no target."""
 
 
+class LanguageModelError(CodeDiffuserError):
+    """A language model gives no answer: the server is away, refuses, or sends something else."""
+
+
 class LabelError(CodeDiffuserError):
     """A label is missing, damaged or does not belong to its episode."""
 
@@ -71,5 +75,11 @@ class SetupError(CodeDiffuserError):
 
 class BelowTargetError(CodeDiffuserError):
     """The work finished, but below the success that was asked for."""
+
+    exit_code = 3
+
+
+class FindingsError(CodeDiffuserError):
+    """A validation found something wrong."""
 
     exit_code = 3
