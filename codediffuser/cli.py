@@ -22,10 +22,11 @@ from codediffuser.errors import CodeDiffuserError
 from codediffuser.verbs import VERBS, Verb
 from codediffuser.verbs.verb import console
 
-DESCRIPTION = """Demonstrations, attention labels and policies for robots that follow ambiguous language.
+DESCRIPTION = """Demonstrations, attention labels and policies for robots that follow ambiguous words.
 
-The pipeline: sample -> demo -> label -> convert -> train -> eval. Each verb reads and writes one run
-folder and continues where an earlier call was cut off. `codediffuser quickstart` runs them all."""
+The pipeline: sample -> demo -> label -> convert -> train -> eval. Each verb reads and writes one
+run folder and continues where an earlier call was cut off. `codediffuser quickstart` runs them all.
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -56,10 +57,18 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def summary(verb: type[Verb]) -> str:
+    """First sentence of a verb's own help."""
+    return (verb.__doc__ or "").split("\n\n")[0]
+
+
 def parse(arguments: Sequence[str] | None = None) -> Verb:
     """Turn command-line words into a verb with its options; exits with 2 on unknown words."""
     choices: Any = Union[  # noqa: UP007  built from a table
-        tuple(Annotated[cls, tyro.conf.subcommand(name)] for name, cls in VERBS.items())
+        tuple(
+            Annotated[cls, tyro.conf.subcommand(name, description=summary(cls))]
+            for name, cls in VERBS.items()
+        )
     ]
     verb: Verb = tyro.cli(
         choices,

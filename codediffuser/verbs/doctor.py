@@ -22,7 +22,13 @@ class Doctor(Verb):
         broken = []
         for result in run_checks():
             console.print(f"checked {result.name}", style="dim")
-            mark = "[green]ok[/]" if result.ok else "[red]no[/]" if result.required else "[yellow]--[/]"
+            mark = (
+                "[green]ok[/]"
+                if result.ok
+                else "[red]no[/]"
+                if result.required
+                else "[yellow]--[/]"
+            )
             table.add_row(mark, result.name, result.detail, "" if result.ok else result.remedy)
             if result.required and not result.ok:
                 broken.append(result.name)

@@ -79,9 +79,10 @@ class Eval(Verb):
             f"success {rate.successes} of {rate.trials}, "
             f"{rate.share or 0.0:.0%} [{rate.low:.0%}, {rate.high:.0%}]"
         )
-        if (rate.share or 0.0) < self.min_success:
+        share = rate.share or 0.0
+        if share < self.min_success:
             raise BelowTargetError(
-                f"success {rate.share or 0.0:.0%}, below the --min-success of {self.min_success:.0%}; "
+                f"success {share:.0%}, below the --min-success of {self.min_success:.0%}; "
                 f"see {folder / REPORT_FILE}"
             )
         return folder / REPORT_FILE

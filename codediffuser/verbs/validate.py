@@ -27,5 +27,5 @@ class Validate(Verb):
 
         findings = list(validate(self.path))
         if findings:
-            raise FindingsError(report(findings))
-        return report(findings)
+            raise FindingsError(report(self.path, findings))
+        return report(self.path, findings)

@@ -39,9 +39,9 @@ class Verb:
         raise NotImplementedError
 
 
-def track(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
-    """Yield the items of a long piece of work under a progress bar on stderr."""
-    with Progress(
+def stage_bars() -> Progress:
+    """Return bars with counts, times and a `note` field, on stderr."""
+    return Progress(
         TextColumn("[bold]{task.description}"),
         BarColumn(bar_width=32),
         MofNCompleteColumn(),
@@ -49,7 +49,12 @@ def track(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
         console=console,
-    ) as progress:
+    )
+
+
+def track(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
+    """Yield the items of a long piece of work under a progress bar on stderr."""
+    with stage_bars() as progress:
         bar = progress.add_task(what, total=total, note="")
         for item in items:
             progress.update(bar, advance=1, note=getattr(item, "note", ""))
