@@ -20,7 +20,7 @@ from codediffuser.datagen.rendering import Renderer
 from codediffuser.datagen.task import TASKS, get_task
 from codediffuser.datagen.views import state_row
 from codediffuser.datasets.clouds import CloudConfig, View, cloud_rng, policy_cloud
-from codediffuser.datasets.export_meta import load_dataset_document
+from codediffuser.datasets.export_meta import cloud_config
 from codediffuser.errors import LabelError
 from codediffuser.labeling.attention import AttentionField
 from codediffuser.labeling.ground_truth import ground_truth_labels
@@ -60,7 +60,7 @@ class AttentionEnv(gym.Wrapper[dict[str, Any], np.ndarray, dict[str, Any], np.nd
         self._inner = TaskEnv(self._task, obs="state", render_mode=render_mode, cameras=cameras)
         super().__init__(self._inner)
         self._renderer = Renderer(self._task, cameras)
-        self._config = load_dataset_document(Path(dataset)).cloud if dataset else CloudConfig()
+        self._config = cloud_config(Path(dataset)) if dataset else CloudConfig()
         self._field: AttentionField | None = None
         self._step = 0
         points = spaces.Box(-np.inf, np.inf, (self._config.num_points, 5), np.float32)

@@ -181,10 +181,9 @@ def _record(
 def _document(cache: WindowCache, num_episodes: int) -> PolicyDocument:
     from codediffuser.training.policy_document import PolicyDocument
 
-    known = cache.document
     return PolicyDocument(
-        task=known.task if known else None,
-        cloud=known.cloud if known else None,
+        task=cache.document.task if cache.document else None,
+        cloud=cache.cloud,
         dataset_fingerprint=cache.fingerprint,
         episodes=num_episodes,
         versions=versions(),

@@ -18,8 +18,8 @@ class PolicyDocument(Document):
     VERSION: ClassVar[int] = 1
 
     task: str | None
-    """Name of the task; None for a dataset that says nothing about itself."""
-    cloud: CloudConfig | None
+    """Name of the task; None for a dataset that LeRobot's tools edited."""
+    cloud: CloudConfig
     """How the clouds were made: evaluation must make the same."""
     dataset_fingerprint: str
     episodes: int

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.datasets.features import ACTION, EPISODE_ID, LABELS, POINTS, STATE
 from codediffuser.training.config import TrainConfig, load_preset
 
@@ -50,9 +51,14 @@ def write_export(root: Path, episodes: list[dict[str, np.ndarray]]) -> Path:
     def vector(length: int) -> dict[str, object]:
         return {"dtype": "float32", "shape": (length,), "names": [f"v{i}" for i in range(length)]}
 
+    quarter = NUM_POINTS // 4
+    cloud = CloudConfig(
+        pick_points=quarter, place_points=quarter, hand_points=quarter, rest_points=quarter
+    )
+    points = {**vector(NUM_POINTS * 5), "names": {"cloud": cloud.model_dump(mode="json")}}
     text = {"dtype": "string", "shape": (1,), "names": None}
     features = {
-        POINTS: vector(NUM_POINTS * 5), STATE: vector(10), ACTION: vector(10),
+        POINTS: points, STATE: vector(10), ACTION: vector(10),
         LABELS: text, EPISODE_ID: text,
     }  # fmt: skip
     dataset = LeRobotDataset.create("toy/points", 25, features, root=root, use_videos=False)
