@@ -22,7 +22,7 @@ from codediffuser.errors import CodeDiffuserError
 from codediffuser.verbs import VERBS, Verb
 from codediffuser.verbs.verb import console
 
-DESCRIPTION = """Demonstrations, attention labels and policies for robots that follow ambiguous words.
+DESCRIPTION = """Demonstrations, attention labels and policies for robots that follow language.
 
 The pipeline: sample -> demo -> label -> convert -> train -> eval. Each verb reads and writes one
 run folder and continues where an earlier call was cut off. `codediffuser quickstart` runs them all.
