@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,11 +80,6 @@ def render_report(results: EvalResults, folder: Path) -> str:
         allowed=_allowed,
         at=_at,
     )
-
-
-def shell_command(*parts: str) -> str:
-    """Quote a command line for the reproducibility block."""
-    return " ".join(shlex.quote(part) for part in parts)
 
 
 def _plots(results: EvalResults) -> dict[str, Any]:

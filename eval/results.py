@@ -116,6 +116,11 @@ class RolloutResult(Document):
         """Whether every condition holds in the last state."""
         return self.final is not None and self.final.success and self.failure is None
 
+    @property
+    def note(self) -> str:
+        """A few words for a progress line."""
+        return f"{self.scene_id} {self.failure or 'success'}"
+
 
 class EvalSettings(Strict):
     """Everything that decides the outcome of an evaluation, and so what may be continued."""

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import pytest
 
 from codediffuser.eval import plots
-from codediffuser.eval.report import render_report, shell_command, write_report
+from codediffuser.eval.report import render_report, write_report
 from codediffuser.eval.results import AttentionRecord, EvalResults
 from codediffuser.eval.summary import compare_results, summarize
 
@@ -176,7 +176,3 @@ def test_histogram_counts_every_value_once(values):
 
 def test_plot_labels_are_escaped():
     assert "<b>" not in plots.bar_plot({"<b>": 1})
-
-
-def test_shell_command_quotes_words():
-    assert shell_command("codediffuser", "eval", "my run") == "codediffuser eval 'my run'"
