@@ -16,8 +16,10 @@ from typing import ClassVar, Self
 import numpy as np
 
 from codediffuser.datasets import parquet_reader
+from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.datasets.export_meta import (
     DatasetDocument,
+    cloud_config,
     dataset_fingerprint,
     find_document,
     load_info,
@@ -70,6 +72,8 @@ class WindowCache:
     """Sentence of each episode."""
     fps: int
     fingerprint: str
+    cloud: CloudConfig
+    """How the clouds were made: closed loop has to make them the same way."""
     document: DatasetDocument | None
     """What `convert` wrote down; None for a dataset that LeRobot's tools made."""
 
@@ -102,6 +106,7 @@ class WindowCache:
             tasks=index.tasks,
             fps=index.fps,
             fingerprint=fingerprint,
+            cloud=cloud_config(root),
             document=document,
         )
 

@@ -52,7 +52,7 @@ class CloudConfig(Strict):
     tool_offset_m: Vector3 = (0.0, 0.0, 0.1034)
     """Tool centre, between the finger tips, in the frame of `panda_hand`."""
     attention_radius_m: float = RADIUS_M
-    """How far from a labelled point attention reaches."""
+    """How far from a labelled point attention reaches; for whoever builds the field."""
     remembered: bool = True
     """Whether labelled points of frame 0 stand in, where their object has taken them, for parts
     that no camera sees now: the hand hides the slot from the camera above while it lowers."""
@@ -162,9 +162,7 @@ def _attended_scene(
     hidden = np.zeros(len(carried), dtype=bool)
     for channel in range(channels.shape[1]):
         mine = np.flatnonzero(channels[:, channel] > 0)
-        hidden[mine] = _far_from(
-            carried[mine], points[attention[:, channel] > 0], config.attention_radius_m
-        )
+        hidden[mine] = _far_from(carried[mine], points[attention[:, channel] > 0], field.radius_m)
     return (
         np.concatenate([points, carried[hidden]]),
         np.concatenate([attention, channels[hidden]]),

@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from codediffuser import __version__
 from codediffuser.datagen.episode import list_episodes, load_manifest
 from codediffuser.datagen.episode_format import EpisodeManifest
 from codediffuser.datagen.workers import run_tasks
@@ -23,6 +22,7 @@ from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.datasets.episode_clouds import (
     CloudJob,
     EpisodeColumns,
+    code_fingerprint,
     ensure_columns,
     labels_json,
     load_columns,
@@ -46,7 +46,7 @@ from codediffuser.datasets.features import (
 from codediffuser.datasets.lerobot_writer import LeRobotWriter
 from codediffuser.datasets.stats import feature_stats
 from codediffuser.errors import ConfigError, DatasetError
-from codediffuser.files import atomic_folder, remove_partials, sha256_file, sha256_json
+from codediffuser.files import atomic_folder, remove_partials, sha256_file
 from codediffuser.labeling.store import LABELS as LABELS_FILE
 from codediffuser.labeling.store import episode_sha256, has_labels, load_labels
 from codediffuser.manifest import git_commit, versions
@@ -101,7 +101,7 @@ def convert_run(
     chosen, left_out = choose_episodes(run)
     kept_in = run / ".cache" / "convert"
     with _exclusive(kept_in, run):
-        code = sha256_json([__version__, git_commit()])
+        code = code_fingerprint()
         jobs = [CloudJob(folder, config, kept_in, code) for folder in chosen]
         for i, (name, reused) in enumerate(_make_all(jobs, workers)):
             yield ConvertProgress(name, i + 1, len(jobs), reused)
@@ -161,7 +161,7 @@ def _write_dataset(
     config = jobs[0].config
     writer = LeRobotWriter(
         root,
-        policy_features(config.num_points),
+        policy_features(config.num_points, config.model_dump(mode="json")),
         fps=manifests[jobs[0].folder].hz,
         robot_type=ROBOT_TYPE,
     )

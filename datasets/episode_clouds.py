@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from codediffuser import pointcloud, poses
 from codediffuser.datagen.episode import Episode, load_manifest
 from codediffuser.datagen.task import get_task
+from codediffuser.datasets import clouds
 from codediffuser.datasets.clouds import CloudConfig, View, cloud_rng, policy_cloud
 from codediffuser.errors import CodeDiffuserError, DatasetError
 from codediffuser.files import atomic_path, sha256_file, sha256_json
+from codediffuser.labeling import attention, motion
 from codediffuser.labeling.attention import AttentionField
 from codediffuser.labeling.motion import RecordedMotion
 from codediffuser.labeling.store import LABELS, episode_sha256, load_labels
@@ -28,7 +31,7 @@ class CloudJob:
     config: CloudConfig
     kept_in: Path
     code: str
-    """Name of the code that runs; other code makes its own files."""
+    """`code_fingerprint`; other code makes its own files."""
 
     @property
     def path(self) -> Path:
@@ -106,8 +109,8 @@ def episode_columns(folder: Path, config: CloudConfig) -> EpisodeColumns:
     """
     episode = Episode.open(folder)
     labels = load_labels(folder).labels
-    motion = RecordedMotion(episode, labels)
-    field = AttentionField(labels, motion.at(0), radius_m=config.attention_radius_m)
+    recorded = RecordedMotion(episode, labels)
+    field = AttentionField(labels, recorded.at(0), radius_m=config.attention_radius_m)
     box = get_task(episode.manifest.task).config.workspace
     low, high = np.array(box.low_m), np.array(box.high_m)
     root_seed, index = _address(episode)
@@ -118,10 +121,24 @@ def episode_columns(folder: Path, config: CloudConfig) -> EpisodeColumns:
         t = frame.index
         views = [View(frame.depth_m[n], c.K, c.T_world_camera) for n, c in cameras.items()]
         cloud = policy_cloud(
-            views, field, motion.at(t), hands[t], low, high, cloud_rng(root_seed, index, t), config
+            views,
+            field,
+            recorded.at(t),
+            hands[t],
+            low,
+            high,
+            cloud_rng(root_seed, index, t),
+            config,
         )
         points[t] = cloud.reshape(-1)
     return EpisodeColumns(points, state, episode.actions)
+
+
+def code_fingerprint() -> str:
+    """Hash of the source files that decide what a cloud holds, committed or not."""
+    modules = (clouds, attention, motion, pointcloud, poses)
+    paths = [Path(__file__), *(Path(str(module.__file__)) for module in modules)]
+    return sha256_json([sha256_file(path) for path in paths])
 
 
 def labels_json(folder: Path) -> str:

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from codediffuser.datasets.clouds import CloudConfig
+from codediffuser.datasets.features import POINTS
 from codediffuser.errors import DatasetError
 from codediffuser.files import sha256_file, sha256_json
-from codediffuser.schema import Document, Strict
+from codediffuser.schema import Document, Strict, parse_model
 
 DOCUMENT = "meta/codediffuser.json"
 INFO = "meta/info.json"
@@ -116,6 +117,21 @@ def load_info(root: Path) -> dict[str, Any]:
             "dataset with LeRobot's own tool, or run `codediffuser convert RUN` again"
         )
     return info
+
+
+def cloud_config(root: Path) -> CloudConfig:
+    """How the clouds of a dataset were made; LeRobot's edit tools keep this.
+
+    Raises:
+        DatasetError: There is no dataset, or not one of the `pointcloud` profile.
+    """
+    names = load_info(root)["features"].get(POINTS, {}).get("names")
+    if not isinstance(names, dict) or "cloud" not in names:
+        raise DatasetError(
+            f"{root / INFO}: the names of '{POINTS}' do not say how clouds were made; expected a "
+            "dataset that `codediffuser convert` wrote, or one that was edited from it"
+        )
+    return parse_model(CloudConfig, names["cloud"], f"{root / INFO}: features.{POINTS}.names.cloud")
 
 
 def require_features(root: Path, info: dict[str, Any], expected: dict[str, str]) -> None:

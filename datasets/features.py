@@ -5,6 +5,7 @@ Only true policy inputs live under `observation.`; LeRobot infers roles from nam
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -45,15 +46,19 @@ class Feature:
         return {"dtype": self.dtype, "shape": [self.size], "names": self.names}
 
 
-def policy_features(num_points: int) -> dict[str, Feature]:
+def policy_features(num_points: int, cloud: Mapping[str, Any]) -> dict[str, Feature]:
     """Features of the `pointcloud` profile in the order of columns, without LeRobot's own.
 
     Args:
         num_points: N, the points of each cloud.
+        cloud: How clouds were made, JSON-like. As names of a feature it survives LeRobot's edit
+            tools, which also refuse to merge datasets whose features differ.
     """
     numbers = len(POINT_CHANNELS) * num_points
     return {
-        POINTS: Feature("float32", numbers, {"channels": list(POINT_CHANNELS)}),
+        POINTS: Feature(
+            "float32", numbers, {"channels": list(POINT_CHANNELS), "cloud": dict(cloud)}
+        ),
         STATE: Feature("float32", len(STATE_NAMES), list(STATE_NAMES)),
         ACTION: Feature("float32", len(ACTION_NAMES), list(ACTION_NAMES)),
         LABELS: Feature("string", 1),

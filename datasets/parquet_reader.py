@@ -135,12 +135,15 @@ def iterate(root: Path, columns: list[str]) -> Iterator[pa.RecordBatch]:
 
 
 def vectors(column: pa.Array, size: int, where: str) -> np.ndarray:
-    """A list column as (M, size); both of Arrow's list types occur, by who wrote the file.
+    """A column of numbers or of lists as (M, size).
+
+    Both of Arrow's list types occur, by who wrote the file.
 
     Raises:
         DatasetError: A row is missing or has another length.
     """
-    flat = column.flatten().to_numpy(zero_copy_only=False)
+    is_list = pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type)
+    flat = (column.flatten() if is_list else column).to_numpy(zero_copy_only=False)
     if column.null_count or len(flat) != len(column) * size:
         raise DatasetError(f"{where}: expected {size} numbers in each row")
     return np.asarray(flat.reshape(len(column), size))

@@ -22,8 +22,8 @@ def split_episodes(
 
     Returns:
         train: Positions in `episode_ids`, ascending.
-        val: The other positions. When chance would leave one side of two or more episodes empty
-            although `val_share` > 0, one episode changes sides.
+        val: The other positions. When chance would leave a side empty although `val_share` > 0,
+            one episode changes sides; a single episode trains.
 
     Raises:
         ConfigError: `val_share` is out of range.
@@ -32,12 +32,11 @@ def split_episodes(
         raise ConfigError(f"val_share: expected a number in [0, 1), got {val_share}")
     rank = [episode_fraction(name) for name in episode_ids]
     val = [i for i, fraction in enumerate(rank) if fraction < val_share]
-    if val_share > 0 and len(rank) >= 2:
-        by_rank = sorted(range(len(rank)), key=lambda i: rank[i])
-        if not val:
-            val = [by_rank[0]]
-        elif len(val) == len(rank):
-            val = sorted(by_rank[:-1])
+    by_rank = sorted(range(len(rank)), key=lambda i: rank[i])
+    if len(val) == len(rank):
+        val = sorted(by_rank[:-1])
+    elif val_share > 0 and not val and len(rank) > 1:
+        val = by_rank[:1]
     chosen = set(val)
     return [i for i in range(len(rank)) if i not in chosen], val
 

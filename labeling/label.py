@@ -22,7 +22,7 @@ class Provenance:
     tool_version: str
     confidence: float = 1.0
     created_at: str | None = None
-    """ISO 8601, UTC. None for labels derived from stored states, which are the same whenever made."""
+    """ISO 8601, UTC. None for labels from stored states: the same whenever they are made."""
 
 
 @dataclass(frozen=True, slots=True)

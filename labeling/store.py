@@ -27,7 +27,7 @@ from pydantic import Field
 from codediffuser.datagen.episode import load_manifest
 from codediffuser.datagen.episode_format import LOG, STATES, EpisodeManifest
 from codediffuser.errors import CodeDiffuserError, LabelError
-from codediffuser.files import atomic_path
+from codediffuser.files import atomic_path, remove_partials
 from codediffuser.labeling.label import ROLES, AttentionLabel, Provenance, Role
 from codediffuser.pointcloud import check_points
 from codediffuser.schema import Document, Strict
@@ -149,6 +149,7 @@ def save_labels(
     ordered = _one_per_role(labels, folder)
     manifest = load_manifest(folder)
     with _locked(folder):
+        remove_partials(folder)
         old = _load_document(folder) if has_labels(folder) else None
         found = old.revision if old else 0
         if expected_revision is not None and expected_revision != found:

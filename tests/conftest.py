@@ -161,3 +161,139 @@ def write_synthetic_episode(
         return folder, trajectory, pictures
 
     return write
+
+
+@pytest.fixture(scope="session")
+def battery_pictures() -> Callable[..., tuple[dict[str, Any], list[Any]]]:
+    """Draw a trajectory of a `pack_battery` scene by projecting samples of its surfaces.
+
+    The function returns the task's cameras at a small size and one set of pictures per step. No
+    simulator, no robot: what the cameras see is the crate and the batteries.
+    """
+    import trimesh
+
+    from codediffuser.datagen.cameras import camera_parameters, project
+    from codediffuser.datagen.episode_format import Camera
+    from codediffuser.datagen.episode_writer import Pictures
+    from codediffuser.datagen.task import get_task
+    from codediffuser.poses import apply_transform
+
+    task = get_task("pack_battery")
+    width, height = 80, 60
+    config = task.config.cameras.model_copy(update={"width": width, "height": height})
+    cameras = {n: Camera(K, T, width, height) for n, (K, T) in camera_parameters(config).items()}
+    surfaces: dict[str, np.ndarray] = {}
+
+    def surface(obj: ObjectSpec) -> np.ndarray:
+        if obj.category not in surfaces:
+            mesh = task.geometry(obj).visual
+            count = int(mesh.area / 0.0025**2)
+            points, _ = trimesh.sample.sample_surface(mesh, count, seed=0)
+            surfaces[obj.category] = np.asarray(points, dtype=np.float32)
+        return surfaces[obj.category]
+
+    def depth_mm(points: np.ndarray, camera: Camera) -> np.ndarray:
+        uv, depth_m = project(points, camera.K, camera.T_world_camera)
+        column, row = np.round(uv).astype(int).T
+        seen = (depth_m > 0.05) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        nearest = np.full(width * height, np.inf)
+        np.minimum.at(nearest, (row * width + column)[seen], depth_m[seen])
+        nearest[np.isinf(nearest)] = 0.0
+        return np.round(nearest * 1000).reshape(height, width).astype(np.uint16)
+
+    def draw(scene: SceneSpec, trajectory: Trajectory) -> tuple[dict[str, Any], list[Any]]:
+        pictures = []
+        gray = {name: np.full((height, width, 3), 90, np.uint8) for name in cameras}
+        for k in range(trajectory.num_steps):
+            world = np.concatenate([
+                apply_transform(
+                    o.T_world_object if o.fixed else trajectory.T_world_object(o.id, k), surface(o)
+                )
+                for o in scene.objects
+            ])  # fmt: skip
+            pictures.append(
+                Pictures(rgb=gray, depth_mm={n: depth_mm(world, c) for n, c in cameras.items()})
+            )
+        return cameras, pictures
+
+    return draw
+
+
+@pytest.fixture
+def make_carry(small_scene: SceneSpec) -> Callable[..., Trajectory]:
+    """The hand carries `battery_0` of `small_scene` in an arc to `slot_0`; no physics."""
+
+    def make(num_steps: int = 6) -> Trajectory:
+        from codediffuser.poses import matrix_to_quat_wxyz, matrix_to_rot6d
+
+        along = np.linspace(0, 1, num_steps + 1)
+        start = np.array(small_scene.object("battery_0").position_m)
+        stop = np.array(small_scene.place("slot_0").position_m)
+        battery = start + along[:, None] * (stop - start)
+        battery[:, 2] += 0.12 * np.sin(np.pi * along)
+        hand = battery + np.array([0.0, 0.0, 0.13])
+        R_down = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+        opening = np.full(num_steps + 1, 0.015)
+        return Trajectory(
+            object_ids=("battery_0",),
+            object_position_m=battery[:, None],
+            object_quat_wxyz=np.tile([1.0, 0, 0, 0], (num_steps + 1, 1, 1)),
+            object_velocity=np.zeros((num_steps + 1, 1, 6)),
+            qpos=np.column_stack([np.zeros((num_steps + 1, 7)), opening, opening]),
+            qvel=np.zeros((num_steps + 1, 9)),
+            hand_position_m=hand,
+            hand_quat_wxyz=np.tile(matrix_to_quat_wxyz(R_down), (num_steps + 1, 1)),
+            actions=np.column_stack(
+                [hand[1:], np.tile(matrix_to_rot6d(R_down), (num_steps, 1)), opening[1:]]
+            ).astype(np.float32),
+        )
+
+    return make
+
+
+@pytest.fixture
+def write_battery_episode(
+    small_scene: SceneSpec,
+    make_carry: Callable[..., Trajectory],
+    battery_pictures: Callable[..., tuple[dict[str, Any], list[Any]]],
+) -> Callable[..., Path]:
+    """Write an episode of `small_scene` whose pictures show what moves; returns its folder."""
+
+    def write(
+        run: Path,
+        episode_id: str = "000042",
+        num_steps: int = 6,
+        *,
+        success: bool = True,
+        text: str = "Put the battery in the right slot.",
+    ) -> Path:
+        from codediffuser.datagen.episode_writer import (
+            EpisodeFacts,
+            trajectory_steps,
+            write_episode,
+        )
+
+        seed = small_scene.seed.model_copy(update={"index": int(episode_id)})
+        words = small_scene.instruction.model_copy(update={"text": text})
+        scene = small_scene.model_copy(
+            update={"scene_id": episode_id, "seed": seed, "instruction": words}
+        )
+        scene_file = run / "scenes" / f"{episode_id}.yaml"
+        scene.save(scene_file)
+        trajectory = make_carry(num_steps)
+        cameras, pictures = battery_pictures(scene, trajectory)
+        folder = run / "episodes" / episode_id
+        write_episode(
+            folder,
+            EpisodeFacts(
+                id=episode_id, task=scene.task, source="simulation", instruction=text,
+                success=success, seed=seed, reason="" if success else "upright",
+            ),
+            cameras,
+            trajectory_steps(trajectory, pictures),
+            scene_file=scene_file,
+            trajectory=trajectory,
+        )  # fmt: skip
+        return folder
+
+    return write
