@@ -73,7 +73,7 @@ def film(
     field: AttentionField,
     *,
     instruction: str,
-    attended: str,
+    attended: tuple[str, ...],
     holds: Sequence[bool],
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Draw every `STRIDE`-th moment and the last one.

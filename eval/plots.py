@@ -37,7 +37,7 @@ def interval_plot(rows: Sequence[tuple[str, str, RateValue]]) -> str:
         dot = f'<circle class="dot" cx="{middle:.1f}" cy="{y}" r="5.5"/>'
         parts.append(_group(css, tip, _line("whisker", low, y, high, y), dot))
         # The count goes to whichever side of the interval has room.
-        x, side = (low - 8, "end ") if low > _LEFT + 60 else (high + 8, "")
+        x, side = (low - 8, "end ") if low > _LEFT + 40 else (high + 8, "")
         parts.append(_text(x, y + 4, f"{value.successes}/{value.trials}", f"{side}count"))
     return _svg(top + step * len(rows) + 26, parts, "Shares with 95 % intervals")
 

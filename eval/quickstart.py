@@ -6,6 +6,7 @@ again, and the folder is an ordinary run to go on from.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,7 +131,9 @@ def _train(out: Path, options: QuickstartOptions) -> Iterator[StageProgress]:
     for now in train(out, config):
         step = now.step
         words = f"loss {now.loss:.4f}, {now.steps_per_s:.1f} steps/s, {now.eta_s / 60:.1f} min left"
-        yield StageProgress("train", step, options.train_steps, words)
+        # A loss of NaN stands for no step: the training had ended in an earlier call.
+        note = "trained earlier" if math.isnan(now.loss) else words
+        yield StageProgress("train", step, options.train_steps, note)
     if step < options.train_steps:
         note = f"stopped at step {step} after {options.max_train_minutes:g} minutes"
         yield StageProgress("train", options.train_steps, options.train_steps, note)

@@ -17,6 +17,8 @@ MAX_VIDEO_BYTES = 24_000_000
 """Videos inside the page in total; failures come first, the rest stays in files beside it."""
 
 _MAX_PAIRS_SHOWN = 4
+_NOTHING = 5e-5
+"""Values below are shown as 0: far below what any condition resolves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +196,9 @@ def _interval(value: RateValue) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"
+    if value is None:
+        return "–"
+    return "0" if abs(value) < _NOTHING else f"{value:.3g}"
 
 
 def _seconds(value: float | None) -> str:

@@ -177,7 +177,7 @@ class _Worker:
         shots = list(
             film(
                 self.film_renderer, run.scene, run.trajectory, run.field,
-                instruction=run.result.instruction, attended=" to ".join(pair or ()),
+                instruction=run.result.instruction, attended=pair or (),
                 holds=run.holds,
             )
         )  # fmt: skip

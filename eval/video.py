@@ -28,6 +28,7 @@ ROLE_COLORS = ((255, 140, 0), (0, 200, 160))
 OCCLUSION_MARGIN_M = 0.01
 _TINT = 0.6
 _INK, _SOFT, _PAPER = (240, 240, 236), (160, 165, 170), (24, 27, 30)
+_SUCCESS = (130, 225, 130)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,8 @@ class Caption:
     instruction: str
     time_s: float
     phase: str
-    attended: str
+    attended: tuple[str, ...]
+    """Names of the attended things, in the order of the roles."""
     success: bool
 
 
@@ -80,9 +82,12 @@ def tint_attention(view: VideoView, points_world: np.ndarray, attention: np.ndar
     visible = (seen <= 0) | (z <= seen + OCCLUSION_MARGIN_M)
     for role, color in enumerate(ROLE_COLORS[: attention.shape[1]]):
         strongest = attention.argmax(axis=1) == role
-        chosen = np.zeros((height, width), dtype=bool)
+        # A point is drawn one pixel wider to each side, so that labelled points close to a patch.
+        chosen = np.zeros((height + 2, width + 2), dtype=bool)
         mine = visible & strongest & (attention[:, role] > 0.5)
-        chosen[v[mine], u[mine]] = True
+        for right, down in np.ndindex(3, 3):
+            chosen[v[mine] + down, u[mine] + right] = True
+        chosen = chosen[1:-1, 1:-1]
         rgb[chosen] = ((1 - _TINT) * rgb[chosen] + _TINT * np.array(color)).astype(np.uint8)
     return rgb
 
@@ -119,15 +124,16 @@ def _write_caption(canvas: Image.Image, caption: Caption, top: int) -> None:
     lines = textwrap.wrap(caption.instruction, width=canvas.width // 7, max_lines=2)
     for i, line in enumerate(lines):
         draw.text((12, top + 8 + 19 * i), line, fill=_INK, font=_font(15))
-    state = "  SUCCESS" if caption.success else ""
+    state = "   success" if caption.success else ""
     draw.text(
         (12, top + 54), f"{caption.time_s:4.1f} s   {caption.phase}{state}",
-        fill=ROLE_COLORS[1] if caption.success else _SOFT, font=_font(13),
+        fill=_SUCCESS if caption.success else _SOFT, font=_font(13),
     )  # fmt: skip
-    width = draw.textlength(caption.attended, font=_font(13))
-    draw.text(
-        (canvas.width - 12 - width, top + 54), caption.attended, fill=ROLE_COLORS[0], font=_font(13)
-    )
+    right = canvas.width - 12.0
+    for color, name in reversed(list(zip(ROLE_COLORS, caption.attended, strict=False))):
+        right -= draw.textlength(name, font=_font(13))
+        draw.text((right, top + 54), name, fill=color, font=_font(13))
+        right -= 12
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:

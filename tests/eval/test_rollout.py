@@ -210,7 +210,11 @@ def test_film_shows_the_attended_battery_in_both_pictures(task, run, expert_acti
 
     done = run(expert_actions, max_steps=9)
     renderer = Renderer(task, film_cameras(task))
-    words = {"instruction": scene.instruction.text, "attended": "", "holds": done.holds}
+    words = {
+        "instruction": scene.instruction.text,
+        "attended": ("battery", "slot"),
+        "holds": done.holds,
+    }
     shots = list(film(renderer, scene, done.trajectory, done.field, **words))
     plain = list(film(renderer, scene, done.trajectory, type(done.field)([], {}), **words))
     assert len(shots) == 4  # moments 0, 4, 8 and the last

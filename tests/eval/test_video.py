@@ -17,7 +17,7 @@ from codediffuser.eval.video import (
     write_video,
 )
 
-CAPTION = Caption("Put a battery outside the crate on a slot.", 1.0, "reach", "a to b", False)
+CAPTION = Caption("Put a battery outside the crate on a slot.", 1.0, "reach", ("a", "b"), False)
 K = np.array([[50.0, 0, 19.5], [0, 50.0, 14.5], [0, 0, 1]])
 
 
@@ -56,12 +56,19 @@ def test_video_that_cannot_be_leaves_no_file(tmp_path, frames):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_attention_at_the_edge_of_a_picture_stays_inside():
+    points = np.array([[-0.39, -0.29, 1.0]], np.float32)
+    tinted = tint_attention(make_view(), points, np.ones((1, 2), np.float32))
+    assert (tinted != 100).any(axis=2).sum() == 4
+
+
 def test_attention_tints_the_pixel_a_point_falls_on():
     points = np.array([[0, 0, 1.0], [0.2, 0.1, 1.0]], np.float32)
     tinted = tint_attention(make_view(), points, np.array([[1, 0], [0, 1]], np.float32))
-    changed = np.argwhere((tinted != 100).any(axis=2)).tolist()
-    # Column 50 * 0.2 + 19.5 and row 50 * 0.1 + 14.5, halves rounded to even; and the centre.
-    assert changed == [[14, 20], [20, 30]]
+    changed = np.argwhere((tinted != 100).any(axis=2))
+    # Columns 50 * x + 19.5 and rows 50 * y + 14.5, halves rounded to even, and their neighbours.
+    near = [(np.abs(changed - pixel) <= 1).all(axis=1) for pixel in ([14, 20], [20, 30])]
+    assert [int(n.sum()) for n in near] == [9, 9] and len(changed) == 18
     assert tinted[14, 20, 0] > tinted[14, 20, 2]
     assert ROLE_COLORS[1][1] > 150 and tinted[20, 30, 1] > tinted[20, 30, 0]
 
@@ -83,7 +90,7 @@ def test_attention_that_is_nothing_changes_nothing():
 
 
 def test_captions_of_any_length_keep_the_frame_even():
-    long = Caption("word " * 80, 9.6, "carry", "battery_0 to slot_11", True)
+    long = Caption("word " * 80, 9.6, "carry", ("battery_0", "slot_11"), True)
     frame = compose_frame([picture(9)], long)
     assert frame.shape == (320, 320, 3)
     assert (frame[:240] == 9).all()
