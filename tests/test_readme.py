@@ -30,6 +30,16 @@ def test_every_verb_has_its_line() -> None:
     assert sorted(rows) == sorted(VERBS)
 
 
+def test_every_command_of_the_chain_is_understood() -> None:
+    from codediffuser.cli import parse
+
+    commands = re.findall(r"^codediffuser (.+)$", README, re.MULTILINE)
+    assert len(commands) >= 7
+    for command in commands:
+        verb = parse(command.split())
+        assert getattr(verb, "auto", True), "labels come from the simulator so far"
+
+
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
 def test_links_lead_to_files(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")
