@@ -199,10 +199,11 @@ def _lost(plan: EvalPlan, outcome: Outcome[Job, RolloutResult]) -> RolloutResult
     scene = plan.scene(plan.task_object(), outcome.task.index)
     reason = outcome.error.strip().splitlines()[-1] if outcome.error.strip() else "no answer"
     _log.error("rollout %s: %s", scene.scene_id, outcome.error)
+    raised = outcome.error.startswith("Traceback")
     return RolloutResult(
         **scene_facts(scene, source.judged_pairs(scene)),
         attention=AttentionRecord(),
-        failure="worker:died",
+        failure="worker:error" if raised else "worker:died",
         detail=f"after {outcome.tries} tries: {reason}",
     )
 
