@@ -12,7 +12,7 @@ import numpy as np
 from codediffuser.datagen.scene import Pair, SceneSpec, Target
 from codediffuser.datagen.task import CameraConfig, Check, Task
 from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.datagen.views import MomentView, join_moments, moment_at
+from codediffuser.datagen.views import Moment, MomentView, join_moments, moment_at
 from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.errors import LabelError, RenderError
 from codediffuser.eval.attention_source import AttentionSource, Choice
@@ -99,16 +99,13 @@ class ClosedLoop:
         cameras: CameraConfig | None = None,
         cloud: CloudConfig | None = None,
     ) -> None:
-        import gymnasium as gym
-
-        from codediffuser.datagen.envs import env_id
+        from codediffuser.datagen.envs import physics_env
         from codediffuser.datagen.rendering import Renderer
 
         self.task, self.policy, self.source, self.options = task, policy, source, options
         self.cloud = cloud or CloudConfig()
         self.renderer = Renderer(task, cameras)
-        made: Any = gym.make(env_id(task.name), render_backend="none", obs_mode="none")
-        self.env = made.unwrapped
+        self.env = physics_env(task)
 
     def run(self, scene: SceneSpec) -> RolloutRun:
         """Carry one rollout out.
@@ -173,7 +170,11 @@ class ClosedLoop:
     def _attend(
         self, scene: SceneSpec, choice: Choice, clock: _Clock
     ) -> tuple[AttentionField | None, str, str]:
-        """Label the chosen targets on what the cameras see at frame 0, or say why not."""
+        """Label the chosen targets on what the cameras see at frame 0.
+
+        Returns:
+            The field; or None with the failure that this is counted as, and its explanation.
+        """
         if choice.pair is None:
             return None, choice.failure, choice.detail
         moment, ids = self.env.view.moment(), self.env.view.object_ids
@@ -215,7 +216,7 @@ class ClosedLoop:
             actions.append(action)
         return join_moments(env.view.object_ids, moments, actions), failure, detail
 
-    def _act(self, observer: Observer, moment: Any, step: int, clock: _Clock) -> np.ndarray:
+    def _act(self, observer: Observer, moment: Moment, step: int, clock: _Clock) -> np.ndarray:
         cloud = state = None
         if self.policy.needs_observation:
             begun = time.perf_counter()
