@@ -19,6 +19,7 @@ from codediffuser.eval.results import AttentionFrom
 from codediffuser.labeling.label import Role
 from codediffuser.labeling.language import (
     LanguageModel,
+    Limits,
     Prompt,
     get_model,
     ground,
@@ -31,6 +32,9 @@ FAILURES: tuple[tuple[type[CodeDiffuserError], str], ...] = (
     (LanguageModelError, "language:no_answer"),
 )
 """What words that lead nowhere are counted as."""
+
+LIMITS = Limits(seconds=10.0)
+"""A program takes milliseconds; the margin keeps results the same on a machine that is busy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +90,8 @@ class LanguageSource:
         listener = _Listener(self._model)
         begun = time.perf_counter()
         try:
-            found = ground(scene.instruction.text, simulated_provider(scene, task=task), listener)
+            provider = simulated_provider(scene, task=task)
+            found = ground(scene.instruction.text, provider, listener, limits=LIMITS)
         except tuple(kind for kind, _ in FAILURES) as error:
             return Choice(
                 pair=None,
