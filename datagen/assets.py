@@ -14,6 +14,7 @@ import fcntl
 import functools
 import hashlib
 import importlib.metadata
+import importlib.util
 import logging
 import shutil
 import xml.etree.ElementTree as ET
@@ -31,7 +32,7 @@ TRIANGLES_PER_LINK = 1200
 """Measured on a set of five 160x120 pictures: 2000 cost 31 ms of CPU time, 1200 22 ms, no robot
 10 ms. Below 1000 the dark and light parts of a link begin to cut into each other."""
 
-BUILD_VERSION = 1
+BUILD_VERSION = 2
 """Raise it when the code below makes other files from the same input."""
 
 CREASE_RAD = 1.0
@@ -103,7 +104,7 @@ def decimate_glb(source: Path, target: Path, triangles: int) -> None:
         len(scene.geometry[scene.graph[node][1]].faces) for node in scene.graph.nodes_geometry
     )
     light = trimesh.Scene()
-    for node in scene.graph.nodes_geometry:
+    for number, node in enumerate(scene.graph.nodes_geometry):
         T_link_part, name = scene.graph[node]
         part = scene.geometry[name]
         wanted = max(round(triangles * len(part.faces) / total), 16)
@@ -112,7 +113,9 @@ def decimate_glb(source: Path, target: Path, triangles: int) -> None:
         body.apply_transform(T_link_part)
         body = smooth_shade(body, angle=CREASE_RAD)
         body.visual = trimesh.visual.TextureVisuals(material=part.visual.material)
-        light.add_geometry(body, node_name=node, geom_name=node)
+        # The source's parts get random names when loaded; files must be the same every time.
+        body.metadata.clear()
+        light.add_geometry(body, node_name=f"part_{number}", geom_name=f"part_{number}")
     target.write_bytes(light.export(file_type="glb", include_normals=True))
 
 
@@ -134,9 +137,10 @@ def _decimated(vertices: np.ndarray, faces: np.ndarray, triangles: int):  # type
 
 
 def _stock_urdf() -> Path:
-    from mani_skill import PACKAGE_ASSET_DIR
-
-    path = Path(PACKAGE_ASSET_DIR) / "robots" / "panda" / "panda_v2.urdf"
+    # Found without importing it, which takes seconds.
+    package = importlib.util.find_spec("mani_skill")
+    roots = (package and package.submodule_search_locations) or ["mani_skill"]
+    path = Path(roots[0]) / "assets" / "robots" / "panda" / "panda_v2.urdf"
     if not path.is_file():
         raise SetupError(
             f"{path}: ManiSkill's Panda is missing; install it again with "

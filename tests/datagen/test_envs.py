@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -112,6 +115,29 @@ def test_scene_of_another_task_is_refused(physics: SceneEnv, scenes: list[SceneS
     other = scenes[0].model_copy(update={"task": "stow_book"})
     with pytest.raises(ConfigError, match="scene 000000 is of task 'stow_book'"):
         physics.reset(options={"scene": other})
+
+
+def test_physics_needs_no_vulkan_and_pictures_say_what_is_missing() -> None:
+    code = """
+from codediffuser.datagen.envs import physics_env
+print("objects", len(physics_env("pack_battery").view.object_ids))
+from codediffuser.datagen.rendering import Renderer
+from codediffuser.datagen.task import get_task
+from codediffuser.errors import SetupError
+try:
+    Renderer(get_task("pack_battery"))
+except SetupError as error:
+    print("refused:", error)
+"""
+    nowhere = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **nowhere, "OMP_NUM_THREADS": "1"},
+        capture_output=True, text=True, timeout=240, check=True,
+    )  # fmt: skip
+    assert "objects" in done.stdout
+    assert "refused: SAPIEN finds no Vulkan device" in done.stdout
+    assert "codediffuser doctor" in done.stdout
 
 
 @pytest.mark.sim

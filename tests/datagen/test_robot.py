@@ -44,10 +44,11 @@ def test_light_meshes_keep_to_their_number_of_triangles(light: Path) -> None:
 
 
 def test_light_meshes_stand_where_the_stock_ones_do(stock: Path, light: Path) -> None:
-    # Link meshes with a node transform would move by up to 0.26 m if it were dropped.
+    # Link meshes with a node transform would move by up to 0.26 m if it were dropped;
+    # 5 mm is one and a half pixels of a 320x240 picture at the cameras' distance.
     for old, new in zip(meshes(stock, "visual"), meshes(light, "visual"), strict=True):
         a, b = trimesh.load_scene(old), trimesh.load_scene(new)
-        np.testing.assert_allclose(a.bounds, b.bounds, atol=3e-3, err_msg=old.name)
+        np.testing.assert_allclose(a.bounds, b.bounds, atol=5e-3, err_msg=old.name)
 
 
 def test_light_meshes_keep_their_colors(stock: Path, light: Path) -> None:
@@ -71,6 +72,13 @@ def test_cache_folder_holds_everything_the_urdf_names(light: Path) -> None:
     assert light.with_suffix(".srdf").is_file()
 
 
+def test_meshes_are_the_same_bytes_every_time(stock: Path, tmp_path: Path) -> None:
+    mesh = meshes(stock, "visual")[0]
+    for name in ("a.glb", "b.glb"):
+        assets.decimate_glb(mesh, tmp_path / name, 300)
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+
+
 def test_two_processes_that_build_at_once_both_get_a_whole_robot(tmp_path: Path) -> None:
     code = "from codediffuser.datagen.assets import panda_urdf; print(panda_urdf())"
     environment = {**os.environ, "CODEDIFFUSER_CACHE": str(tmp_path), "OMP_NUM_THREADS": "1"}
@@ -80,7 +88,7 @@ def test_two_processes_that_build_at_once_both_get_a_whole_robot(tmp_path: Path)
         )
         for _ in range(2)
     ]
-    paths = {process.communicate(timeout=120)[0].strip().splitlines()[-1] for process in running}
+    paths = {process.communicate(timeout=300)[0].strip().splitlines()[-1] for process in running}
     assert all(process.returncode == 0 for process in running)
     assert len(paths) == 1
     urdf = Path(paths.pop())
