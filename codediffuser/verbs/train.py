@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import tyro
 from rich.progress import BarColumn, Progress, TextColumn
 
 from codediffuser.errors import ConfigError
 from codediffuser.verbs.verb import Verb, console
-
-if TYPE_CHECKING:
-    from codediffuser.training.config import TrainConfig
 
 
 @dataclass(kw_only=True)
@@ -42,21 +39,20 @@ class Train(Verb):
     max_minutes: float | None = None
     """Stop and save after this time, wherever the schedule is."""
     num_threads: int | None = None
-    """Threads of one torch operation. Default: one a core."""
+    """Threads of one torch operation. Default: the preset's. More than one pays for large networks
+    on idle cores only: threads that wait for each other spin, and beside other work they crawl."""
     overwrite: bool = False
     """Forget the checkpoints of this name and begin anew."""
 
     def run(self) -> Path:
         """Train and return the folder of the checkpoints."""
-        import os
-
         from codediffuser.training.config import load_preset
         from codediffuser.training.loop import train
 
         if self.steps is not None and self.steps < 1:
             raise ConfigError(f"--steps: expected at least 1, got {self.steps}")
         config = load_preset(self.preset)
-        config = config.with_changes(**self._changes(config, os.cpu_count() or 1))
+        config = config.with_changes(**self._changes())
         root = self.run_folder
         if not (root / "lerobot").is_dir() and (root / "meta" / "info.json").is_file():
             root = root.parent
@@ -76,13 +72,13 @@ class Train(Verb):
                 )  # fmt: skip
         return out
 
-    def _changes(self, config: TrainConfig, cores: int) -> dict[str, Any]:
+    def _changes(self) -> dict[str, Any]:
         asked = {
             "name": self.name,
             "steps": self.steps,
             "seed": self.seed,
             "max_minutes": self.max_minutes,
-            "num_threads": self.num_threads or config.num_threads or cores,
+            "num_threads": self.num_threads,
         }
         changes: dict[str, Any] = {k: v for k, v in asked.items() if v is not None}
         if self.attention is not None:
