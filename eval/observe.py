@@ -13,17 +13,9 @@ from codediffuser.datagen.views import Moment, MomentView
 from codediffuser.datasets.clouds import CloudConfig, View, cloud_rng, policy_cloud
 from codediffuser.labeling.attention import AttentionField
 from codediffuser.pointcloud import crop_box, fuse_views
-from codediffuser.poses import matrix_to_rot6d, quat_wxyz_to_matrix
 
 if TYPE_CHECKING:
     from codediffuser.datagen.rendering import Frame, Renderer
-
-
-def state_row(moment: Moment) -> np.ndarray:
-    """Measured hand pose and mean finger opening, (10,) float32, laid out like the action."""
-    rot6d = matrix_to_rot6d(quat_wxyz_to_matrix(moment.hand_quat_wxyz))
-    opening = np.mean(moment.qpos[-2:])
-    return np.concatenate([moment.hand_position_m, rot6d, [opening]]).astype(np.float32)
 
 
 def object_poses(

@@ -12,7 +12,13 @@ import numpy as np
 from codediffuser.datagen.scene import Pair, SceneSpec, Target
 from codediffuser.datagen.task import CameraConfig, Check, Task
 from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.datagen.views import Moment, MomentView, join_moments, moment_at
+from codediffuser.datagen.views import (
+    Moment,
+    MomentView,
+    join_moments,
+    moment_at,
+    state_row,
+)
 from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.errors import LabelError, RenderError
 from codediffuser.eval.attention_source import AttentionSource, Choice
@@ -20,7 +26,6 @@ from codediffuser.eval.observe import (
     Observer,
     depth_views,
     object_poses,
-    state_row,
     workspace_cloud,
 )
 from codediffuser.eval.policy_handle import PolicyHandle
