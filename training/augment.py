@@ -8,8 +8,6 @@ import torch
 from torch import Tensor
 
 ATTENDED = 0.5
-STILL_FINGERS = 0.8
-"""Scaled opening beyond which the fingers are open, or closed around something."""
 NEAR_M = 0.05
 """Distance over which the chance of a wrong point near the target falls by e."""
 
@@ -55,34 +53,6 @@ def augment_clouds(clouds: Tensor, options: Augmentation) -> Tensor:
     attention = attention.masked_fill(lost, 0.0).masked_fill(gained, 1.0)
     xyz = xyz + options.point_noise_m * torch.randn_like(xyz)
     return torch.cat([xyz, attention], dim=-1)
-
-
-def displace_hand(
-    clouds: Tensor, actions: Tensor, opening: Tensor, *, probability: float, size_m: float
-) -> tuple[Tensor, Tensor]:
-    """Show the scene as if the hand were elsewhere, with the actions that are then right.
-
-    An open hand that is off goes to the same places in the world. A closed one holds its object
-    off-centre: it is the object that has to arrive, so the hand repeats its motion relative to it.
-    Seen from the hand, the scene moves in both cases and the actions in the first only. In between,
-    while the fingers move, nothing is displaced.
-
-    Args:
-        clouds: (B, To, N, 3 + C) float32, world.
-        actions: (B, T, 10), world.
-        opening: (B,) present finger opening from -1 (as closed as ever seen) to 1.
-        probability: Share of samples that are displaced.
-        size_m: Standard deviation along each axis.
-
-    Returns:
-        Clouds and actions.
-    """
-    still = opening.abs() > STILL_FINGERS
-    happens = (torch.rand_like(opening) < probability) & still
-    offset = size_m * happens[:, None] * torch.randn(len(opening), 3, device=opening.device)
-    clouds = torch.cat([clouds[..., :3] - offset[:, None, None], clouds[..., 3:]], dim=-1)
-    offset = offset * (opening > 0)[:, None]
-    return clouds, torch.cat([actions[..., :3] - offset[:, None], actions[..., 3:]], dim=-1)
 
 
 def _shares(clouds: Tensor, probability: float, largest: float) -> Tensor:

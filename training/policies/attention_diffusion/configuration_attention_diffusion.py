@@ -57,12 +57,10 @@ class AttentionDiffusionConfig(PreTrainedConfig):
     """Condition on the centre of each channel's attended points."""
 
     crop: bool = True
-    """Look only at a random part of the attended points, and of the points near the hand."""
+    """Look only at a random part of the attended points and of the points near the hand."""
     crop_pick_points: int = 56
     crop_place_points: int = 40
-    crop_hand_points: int = 0
-    """With these the policy could see that `augment_offset` displaced it, and would not learn to
-    look at the object in its hand. Where the hand is, proprioception says."""
+    crop_hand_points: int = 56
     hand_radius_m: float = 0.12
     """Points this close to the tool centre, between the finger tips, count as near the hand."""
     tool_offset_m: float = 0.1034
@@ -104,10 +102,6 @@ class AttentionDiffusionConfig(PreTrainedConfig):
     """Share of training samples in which some attended points lose their attention."""
     augment_drop_max_share: float = 0.5
     augment_point_noise_m: float = 0.001
-    augment_offset_probability: float = 0.5
-    """Share of training samples in which the hand is displaced, see `augment.displace_hand`."""
-    augment_offset_m: float = 0.005
-    """Standard deviation of that along each axis."""
 
     optimizer_lr: float = 1e-3
     optimizer_betas: tuple[float, float] = (0.9, 0.999)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from codediffuser.datasets.features import ACTION, POINTS, STATE
 from codediffuser.errors import ShapeError
-from codediffuser.training.augment import Augmentation, augment_clouds, displace_hand
+from codediffuser.training.augment import Augmentation, augment_clouds
 from codediffuser.training.policies.attention_diffusion import pointnet2  # noqa: F401  registers it
 from codediffuser.training.policies.attention_diffusion.configuration_attention_diffusion import (
     NUM_POINT_CHANNELS,
@@ -116,12 +116,14 @@ class AttentionDiffusionPolicy(PreTrainedPolicy):
         """
         self.frame.check_ready()
         clouds = self._clouds(batch[POINTS])
-        state, action = batch[STATE], batch[ACTION]
-        origin = self.frame.origin(state)
         if self.training:
-            clouds, action = self._augment(clouds, state, action)
+            clouds = augment_clouds(clouds, self._augmentation())
+        state = batch[STATE]
+        origin = self.frame.origin(state)
         condition = self._condition(clouds, state, origin)
-        loss = self.diffusion.loss(self.unet, self.frame.encode_action(action, origin), condition)
+        loss = self.diffusion.loss(
+            self.unet, self.frame.encode_action(batch[ACTION], origin), condition
+        )
         if self.config.mask_padded_actions:
             real = ~batch["action_is_pad"][None, :, :, None].expand_as(loss)
             return (loss * real).sum() / real.sum().clamp_min(1), {}
@@ -205,17 +207,12 @@ class AttentionDiffusionPolicy(PreTrainedPolicy):
             parts.append(self.frame.encode_state(state, origin).flatten(0, 1))
         return torch.cat(parts, dim=-1).reshape(batch_size, -1)
 
-    def _augment(self, clouds: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+    def _augmentation(self) -> Augmentation:
         c = self.config
-        options = Augmentation(
+        return Augmentation(
             swap_probability=c.augment_swap_probability,
             swap_max_share=c.augment_swap_max_share,
             drop_probability=c.augment_drop_probability,
             drop_max_share=c.augment_drop_max_share,
             point_noise_m=c.augment_point_noise_m,
         )
-        opening = self.frame.encode_state(state, self.frame.origin(state))[:, -1, -1]
-        return displace_hand(
-            augment_clouds(clouds, options), action, opening,
-            probability=c.augment_offset_probability, size_m=c.augment_offset_m,
-        )  # fmt: skip
