@@ -76,6 +76,16 @@ def test_every_switch_trains_and_acts(toy_episodes: Episodes, changes: dict[str,
     assert chunk.shape == (3, 8, 10) and chunk.isfinite().all()
 
 
+def test_half_precision_gives_nearly_the_same_loss(toy_episodes: Episodes) -> None:
+    policy, batch = make_policy(toy_episodes).eval(), window(toy_episodes)
+    losses = []
+    for enabled in (False, True):
+        torch.manual_seed(1)
+        with torch.autocast("cpu", torch.bfloat16, enabled=enabled):
+            losses.append(float(policy(batch)[0]))
+    assert losses[0] != losses[1] and abs(losses[0] - losses[1]) < 0.05 * losses[0]
+
+
 def test_actions_move_with_the_world(toy_episodes: Episodes) -> None:
     policy, batch = make_policy(toy_episodes).eval(), window(toy_episodes)
     offset, noise = torch.tensor([0.5, -0.3, 0.2]), torch.randn(3, 16, 10)
@@ -151,6 +161,21 @@ def test_a_plan_begins_with_the_present_step(toy_episodes: Episodes) -> None:
     policy.frame.decode_action = lambda action, _: action  # type: ignore[method-assign]
     chunk = policy.predict_action_chunk(observation(toy_episodes, 0))
     assert chunk[0, :, 0].tolist() == [1, 2, 3, 4, 5]  # 0 belongs to the older observation
+
+
+def test_clouds_are_damaged_in_training_alone(
+    toy_episodes: Episodes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy, batch, calls = make_policy(toy_episodes), window(toy_episodes), []
+
+    def damage(clouds: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        calls.append(len(clouds))
+        return clouds, action
+
+    monkeypatch.setattr(policy, "_augment", damage)
+    policy.train()(batch)
+    policy.eval()(batch)
+    assert calls == [3]
 
 
 def test_padded_actions_can_be_left_out_of_the_loss(toy_episodes: Episodes) -> None:
