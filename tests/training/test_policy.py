@@ -10,6 +10,9 @@ from torch import Tensor
 from codediffuser.datasets.features import ACTION, POINTS, STATE
 from codediffuser.errors import ConfigError, ShapeError
 from codediffuser.training.build import policy_config
+from codediffuser.training.policies.attention_diffusion import (
+    modeling_attention_diffusion as modeling,
+)
 from codediffuser.training.policies.attention_diffusion.frame import measure_ranges
 from codediffuser.training.policies.attention_diffusion.modeling_attention_diffusion import (
     AttentionDiffusionPolicy,
@@ -168,11 +171,11 @@ def test_clouds_are_damaged_in_training_alone(
 ) -> None:
     policy, batch, calls = make_policy(toy_episodes), window(toy_episodes), []
 
-    def damage(clouds: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+    def damage(clouds: Tensor, _: object) -> Tensor:
         calls.append(len(clouds))
-        return clouds, action
+        return clouds
 
-    monkeypatch.setattr(policy, "_augment", damage)
+    monkeypatch.setattr(modeling, "augment_clouds", damage)
     policy.train()(batch)
     policy.eval()(batch)
     assert calls == [3]
