@@ -84,7 +84,7 @@ def plan_evaluation(run: Path, options: EvalOptions) -> EvalPlan:
 
     Raises:
         CheckpointError: There is no checkpoint.
-        DatasetError: The run has no export, which tells how the policy's clouds are made.
+        DatasetError: Neither checkpoint nor export tells the task and how clouds are made.
         ConfigError: An option is out of range.
     """
     if options.num_scenes < 1:
@@ -93,9 +93,9 @@ def plan_evaluation(run: Path, options: EvalOptions) -> EvalPlan:
         raise ConfigError(f"--swap-share: expected a share in (0, 1], got {options.swap_share}")
     from codediffuser.training.checkpoint import find_model
 
-    document = load_dataset_document(run / "lerobot")
-    task = get_task(document.task)
     checkpoint = find_model(options.checkpoint or newest_training(run))
+    task_name, cloud = _learnt(checkpoint, run / "lerobot")
+    task = get_task(task_name)
     width, height = options.image_size or _demonstrated_size(run, task)
     swapped = options.stress == "swapped"
     settings = EvalSettings(
@@ -114,7 +114,7 @@ def plan_evaluation(run: Path, options: EvalOptions) -> EvalPlan:
         image_height=height,
         num_inference_steps=options.num_inference_steps,
     )
-    return EvalPlan(settings=settings, cloud=document.cloud)
+    return EvalPlan(settings=settings, cloud=cloud)
 
 
 def evaluation_folder(run: Path, plan: EvalPlan, name: str | None = None) -> Path:
@@ -178,6 +178,22 @@ def hash_folder(folder: Path) -> str:
             if p.is_file()
         }
     )
+
+
+def _learnt(checkpoint: Path, dataset: Path) -> tuple[str, CloudConfig]:
+    """Name of the task and how clouds are made, as the policy learnt them.
+
+    A checkpoint of `codediffuser train` says both. One of `lerobot-train`, or of a dataset that
+    LeRobot's tools edited, lacks one or the other: then the run's dataset is asked.
+    """
+    from codediffuser.training.checkpoint import POLICY_FILE
+    from codediffuser.training.policy_document import load_policy_document
+
+    if not (checkpoint / POLICY_FILE).is_file():
+        document = load_dataset_document(dataset)
+        return document.task, document.cloud
+    policy = load_policy_document(checkpoint)
+    return policy.task or load_dataset_document(dataset).task, policy.cloud
 
 
 def _demonstrated_size(run: Path, task: Task) -> tuple[int, int]:

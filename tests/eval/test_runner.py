@@ -1,10 +1,12 @@
 """Facts about plans and about many rollouts: kept, continued, counted, compared."""
 
 import json
+import shutil
 
 import pytest
 
 from codediffuser.datagen.workers import Outcome
+from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.errors import CheckpointError, ConfigError, DatasetError
 from codediffuser.eval import runner
 from codediffuser.eval.plan import (
@@ -18,6 +20,8 @@ from codediffuser.eval.results import EvalResults, RolloutResult
 from codediffuser.eval.rollout import RolloutRun, scene_facts
 from codediffuser.eval.runner import evaluate
 from codediffuser.files import write_json
+from codediffuser.training.checkpoint import POLICY_FILE
+from codediffuser.training.policy_document import PolicyDocument
 
 
 class FakeLoop:
@@ -192,8 +196,31 @@ def test_run_without_checkpoint_or_export_says_what_to_do(eval_run, tmp_path):
         newest_training(tmp_path)
     with pytest.raises(CheckpointError, match="no checkpoint here"):
         plan_for(eval_run, checkpoint=tmp_path)
+    shutil.rmtree(eval_run / "lerobot")
     with pytest.raises(DatasetError, match="codediffuser convert"):
-        plan_for(tmp_path)
+        plan_for(eval_run)
+
+
+def test_task_and_clouds_are_those_that_the_checkpoint_learnt(eval_run):
+    model = eval_run / "checkpoints" / "cpu" / "000500" / "pretrained_model"
+    cloud = CloudConfig(pick_points=64, place_points=64)
+    learnt = PolicyDocument(
+        task="pack_battery", cloud=cloud, dataset_fingerprint="ab", episodes=2, versions={},
+        git_commit="abc",
+    )  # fmt: skip
+    learnt.save(model / POLICY_FILE)
+    assert plan_for(eval_run)[0].cloud == cloud
+    shutil.rmtree(eval_run / "lerobot")
+    assert plan_for(eval_run)[0].settings.task == "pack_battery"
+
+
+def test_checkpoint_of_a_dataset_that_lerobot_edited_takes_the_task_of_the_run(eval_run):
+    model = eval_run / "checkpoints" / "cpu" / "000500" / "pretrained_model"
+    PolicyDocument(
+        task=None, cloud=CloudConfig(), dataset_fingerprint="ab", episodes=2, versions={},
+        git_commit="abc",
+    ).save(model / POLICY_FILE)  # fmt: skip
+    assert plan_for(eval_run)[0].settings.task == "pack_battery"
 
 
 @pytest.mark.sim
