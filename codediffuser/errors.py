@@ -61,6 +61,10 @@ class LabelError(CodeDiffuserError):
     """A label is missing, damaged or does not belong to its episode."""
 
 
+class StaleLabelError(LabelError):
+    """Somebody else changed an episode's labels first; nothing was overwritten."""
+
+
 class DatasetError(CodeDiffuserError):
     """A dataset does not follow its contract."""
 
@@ -71,6 +75,10 @@ class CheckpointError(CodeDiffuserError):
 
 class SetupError(CodeDiffuserError):
     """The machine lacks something that the command needs."""
+
+
+class StorageError(CodeDiffuserError):
+    """A disk is full, or a quota is used up."""
 
 
 class BelowTargetError(CodeDiffuserError):

@@ -24,6 +24,9 @@ class Stage(IntEnum):
     EVAL_POLICY = 8
     STRESS = 9
     ENV = 10
+    APPEARANCE = 11
+    SENSOR = 12
+    RECOVERY = 13
 
 
 def seed_sequence(

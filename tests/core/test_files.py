@@ -1,3 +1,4 @@
+import errno
 import hashlib
 import os
 import signal
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from codediffuser.errors import StorageError
 from codediffuser.files import (
     RETIRED_PREFIX,
     TEMPORARY_PREFIX,
@@ -149,3 +151,30 @@ def test_the_cache_is_where_the_user_wants_it(
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     assert cache_folder() == Path(expected)
+
+
+def test_what_another_machine_writes_is_left_alone_until_it_is_old(tmp_path: Path) -> None:
+    fresh, old = (tmp_path / f"{TEMPORARY_PREFIX}{os.getpid()}@elsewhere-{n}" for n in "ab")
+    fresh.mkdir()
+    old.mkdir()
+    os.utime(old, (0, 0))
+    assert remove_partials(tmp_path) == [old.name]
+    assert remove_partials(tmp_path, names=["b"]) == []
+    assert remove_partials(tmp_path, names=["a"]) == [fresh.name]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_one_error_that_names_the_file(tmp_path: Path, number: int) -> None:
+    path = tmp_path / "run" / "a.txt"
+    with (
+        pytest.raises(StorageError, match=rf"{path}: .*; make room on that disk"),
+        atomic_path(path) as partial,
+    ):
+        partial.write_text("half")
+        raise OSError(number, "full")
+    assert names(tmp_path / "run") == []
+
+
+def test_other_errors_of_the_disk_stay_what_they_are(tmp_path: Path) -> None:
+    with pytest.raises(PermissionError), atomic_folder(tmp_path / "run"):
+        raise PermissionError(errno.EACCES, "no")

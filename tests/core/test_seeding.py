@@ -42,6 +42,9 @@ def test_stage_numbers_stay_as_files_have_them() -> None:
         "EVAL_POLICY": 8,
         "STRESS": 9,
         "ENV": 10,
+        "APPEARANCE": 11,
+        "SENSOR": 12,
+        "RECOVERY": 13,
     }
 
 
