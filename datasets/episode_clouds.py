@@ -114,7 +114,7 @@ def episode_columns(folder: Path, config: CloudConfig) -> EpisodeColumns:
     box = get_task(episode.manifest.task).config.workspace
     low, high = np.array(box.low_m), np.array(box.high_m)
     root_seed, index = _address(episode)
-    state, cameras = episode.state, episode.cameras
+    state, cameras = episode.state, episode.depth_cameras
     hands = make_transform(rot6d_to_matrix(state[:, 3:9]), state[:, :3])
     points = np.empty((episode.num_frames, config.num_points * 5), dtype=np.float32)
     for frame in episode.frames(color=False):
@@ -142,9 +142,13 @@ def code_fingerprint() -> str:
 
 
 def labels_json(folder: Path) -> str:
-    """The labels of an episode as one line of JSON, without earlier revisions."""
+    """The labels of an episode as one line of JSON: targets and revision, nothing said about them.
+
+    A flag, a review or who saved them thus makes no export stale.
+    """
     document = load_labels(folder).document.model_dump(mode="json", by_alias=True)
-    del document["history"]
+    for said_about in ("history", "saved", "flags", "reviews"):
+        del document[said_about]
     return json.dumps(document, sort_keys=True, separators=(",", ":"))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
@@ -38,3 +39,8 @@ class AttentionLabel:
     follows: str | None
     """Id of the object whose motion carries the points; None for a target that stands still."""
     provenance: Provenance
+
+
+def utc_now() -> str:
+    """The time for provenance: ISO 8601, UTC, whole seconds."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

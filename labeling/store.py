@@ -16,75 +16,32 @@ import fcntl
 import hashlib
 import os
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from codediffuser.datagen.episode import load_manifest
 from codediffuser.datagen.episode_format import LOG, STATES, EpisodeManifest
-from codediffuser.errors import CodeDiffuserError, LabelError
+from codediffuser.errors import CodeDiffuserError, LabelError, StaleLabelError
 from codediffuser.files import atomic_path, remove_partials
 from codediffuser.labeling.label import ROLES, AttentionLabel, Provenance, Role
+from codediffuser.labeling.label_document import (
+    Flag,
+    LabelEntry,
+    LabelsDocument,
+    ProvenanceEntry,
+    Review,
+    Saving,
+    Verdict,
+)
 from codediffuser.pointcloud import check_points
-from codediffuser.schema import Document, Strict
 
 LABELS = "labels.json"
 POINTS = "labels.npz"
 REMEDY = "run `codediffuser label RUN --auto`, or choose the targets in the browser"
-
-
-class ProvenanceEntry(Strict):
-    """`Provenance` on disk."""
-
-    source: Literal["simulator", "human", "features", "program"]
-    labeler: str
-    tool_version: str
-    confidence: float = Field(ge=0.0, le=1.0)
-    created_at: str | None
-
-
-class LabelEntry(Strict):
-    """One target on disk; its points are the array `points_sha256` of `labels.npz`."""
-
-    role: Role
-    category: str
-    instance_id: str
-    follows: str | None
-    provenance: ProvenanceEntry
-    num_points: int
-    points_sha256: str
-
-
-class Revision(Strict):
-    """What an earlier revision said."""
-
-    revision: int
-    labels: tuple[LabelEntry, ...]
-
-
-class LabelsDocument(Document):
-    """What `labels.json` says (`schema: codediffuser.labels/1`)."""
-
-    KIND: ClassVar[str] = "labels"
-    VERSION: ClassVar[int] = 1
-
-    episode_id: str
-    episode_sha256: str
-    """Content of the episode that the labels were set for, see `episode_sha256`."""
-    revision: int = Field(ge=1)
-    labels: tuple[LabelEntry, ...]
-    history: tuple[Revision, ...] = ()
-    """Earlier revisions, oldest first."""
-
-    def entries(self) -> Iterator[LabelEntry]:
-        """Targets of this revision and of all earlier ones."""
-        yield from self.labels
-        for earlier in self.history:
-            yield from earlier.labels
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +50,7 @@ class LabelSet:
 
     episode_id: str
     revision: int
-    """Counts up with every change; give it to `save_labels` to notice other writers."""
+    """Counts the sets of labels; give it to `save_labels` to notice other writers."""
     labels: tuple[AttentionLabel, ...]
     """One per role, in the order of `ROLES`."""
     document: LabelsDocument
@@ -111,8 +68,13 @@ def episode_sha256(manifest: EpisodeManifest) -> str:
 
 
 def has_labels(folder: Path) -> bool:
-    """Whether an episode folder holds labels, sound or not."""
-    return (folder / LABELS).exists()
+    """Whether an episode folder holds labels, sound or not; flags alone are none."""
+    if not (folder / LABELS).exists():
+        return False
+    try:
+        return LabelsDocument.load(folder / LABELS).revision > 0
+    except CodeDiffuserError:
+        return True
 
 
 def load_labels(folder: Path) -> LabelSet:
@@ -122,69 +84,27 @@ def load_labels(folder: Path) -> LabelSet:
         LabelError: There are none, they are damaged, or they belong to another episode.
         SchemaVersionError: They are of a version that this code cannot read.
     """
-    document = _load_document(folder)
-    arrays = _load_arrays(folder, {entry.points_sha256 for entry in document.labels})
-    labels = tuple(_to_label(entry, arrays[entry.points_sha256]) for entry in document.labels)
-    return LabelSet(document.episode_id, document.revision, labels, document)
+    document = load_document(folder)
+    if document is None or document.revision == 0:
+        raise LabelError(f"{folder}: this episode has no labels; {REMEDY}")
+    return LabelSet(
+        document.episode_id,
+        document.revision,
+        read_targets(folder, document.labels),
+        document,
+    )
 
 
-def save_labels(
-    folder: Path, labels: Sequence[AttentionLabel], *, expected_revision: int | None = None
-) -> LabelSet:
-    """Write the labels of one episode as its next revision; the same labels again change nothing.
-
-    Args:
-        folder: Episode folder, with its manifest.
-        labels: Exactly one per role, each with points.
-        expected_revision: The revision that the caller has seen, 0 for none. None takes whatever
-            is there.
-
-    Returns:
-        What a reader gets from now on.
+def load_document(folder: Path) -> LabelsDocument | None:
+    """Read and check `labels.json` alone; None when nobody has labelled or flagged the episode.
 
     Raises:
-        LabelError: A role is missing or given twice, a label has no points, another writer came
-            first, or the labels that are there are damaged or of another episode.
+        LabelError: It is damaged or belongs to another episode.
+        SchemaVersionError: It is of a version that this code cannot read.
     """
-    ordered = _one_per_role(labels, folder)
-    manifest = load_manifest(folder)
-    with _locked(folder):
-        remove_partials(folder)
-        old = _load_document(folder) if has_labels(folder) else None
-        found = old.revision if old else 0
-        if expected_revision is not None and expected_revision != found:
-            raise LabelError(
-                f"{folder / LABELS}: revision {found} is there, {expected_revision} was expected: "
-                "someone else changed these labels; load them again and repeat the change"
-            )
-        new = {points_sha256(label.points_world): label.points_world for label in ordered}
-        entries = tuple(_to_entry(label) for label in ordered)
-        if old is None or entries != old.labels:
-            kept: dict[str, np.ndarray] = {}
-            history: tuple[Revision, ...] = ()
-            if old is not None:
-                kept = _load_arrays(folder, {entry.points_sha256 for entry in old.entries()})
-                history = (*old.history, Revision(revision=found, labels=old.labels))
-            _write_arrays(folder / POINTS, {**kept, **new})
-            LabelsDocument(
-                episode_id=manifest.id,
-                episode_sha256=episode_sha256(manifest),
-                revision=found + 1,
-                labels=entries,
-                history=history,
-            ).save(folder / LABELS)
-    return load_labels(folder)
-
-
-def points_sha256(points_world: np.ndarray) -> str:
-    """Name of an array of points: SHA-256 of its numbers as little-endian float32."""
-    return hashlib.sha256(np.ascontiguousarray(points_world, dtype="<f4").tobytes()).hexdigest()
-
-
-def _load_document(folder: Path) -> LabelsDocument:
     path = folder / LABELS
     if not path.exists():
-        raise LabelError(f"{folder}: this episode has no labels; {REMEDY}")
+        return None
     manifest = load_manifest(folder)
     document = LabelsDocument.load(path)
     found, expected = document.episode_sha256, episode_sha256(manifest)
@@ -193,13 +113,149 @@ def _load_document(folder: Path) -> LabelsDocument:
             f"{path}: these labels belong to episode '{document.episode_id}' ({found[:12]}), "
             f"the folder holds '{manifest.id}' ({expected[:12]}); delete {LABELS}, then {REMEDY}"
         )
-    roles = [entry.role for entry in document.labels]
-    if roles != list(ROLES):
-        raise LabelError(f"{path}: expected one label for each of {ROLES}, got {tuple(roles)}")
+    for revision in document.revisions():
+        roles = tuple(entry.role for entry in revision.labels)
+        if roles != ROLES:
+            raise LabelError(f"{path}: expected one label for each of {ROLES}, got {roles}")
     return document
 
 
-def _load_arrays(folder: Path, names: set[str]) -> dict[str, np.ndarray]:
+def read_targets(folder: Path, entries: Sequence[LabelEntry]) -> tuple[AttentionLabel, ...]:
+    """Targets of any revision, with their points.
+
+    Raises:
+        LabelError: The points are missing or damaged.
+    """
+    arrays = load_arrays(folder, {entry.points_sha256 for entry in entries})
+    return tuple(_to_label(entry, arrays[entry.points_sha256]) for entry in entries)
+
+
+def save_labels(
+    folder: Path,
+    labels: Sequence[AttentionLabel],
+    *,
+    expected_revision: int | None = None,
+    saved: Saving | None = None,
+) -> LabelSet:
+    """Write the labels of one episode as its next revision; the same labels again change nothing.
+
+    Labels that differ only in the time they were made are the same.
+
+    Args:
+        folder: Episode folder, with its manifest.
+        labels: Exactly one per role, each with points.
+        expected_revision: The revision that the caller has seen, 0 for none. None takes whatever
+            is there.
+        saved: Who saves; None for labels that a program makes the same way at any time.
+
+    Returns:
+        What a reader gets from now on.
+
+    Raises:
+        StaleLabelError: Another writer came first.
+        LabelError: A role is missing or given twice, a label has no points, or the labels that
+            are there are damaged or of another episode.
+    """
+    ordered = _one_per_role(labels, folder)
+    entries = tuple(_to_entry(label) for label in ordered)
+
+    def next_revision(old: LabelsDocument) -> LabelsDocument:
+        _expect(folder, old, expected_revision)
+        pairs = zip(entries, old.labels, strict=True) if old.labels else ()
+        if old.labels and all(new.says_the_same(was) for new, was in pairs):
+            return old
+        present = {"revision": old.revision + 1, "labels": entries, "saved": saved}
+        return old.model_copy(update={**present, "history": tuple(old.revisions())})
+
+    new = {points_sha256(label.points_world): label.points_world for label in ordered}
+    change_document(folder, next_revision, new)
+    return load_labels(folder)
+
+
+def add_flag(folder: Path, reason: str, *, by: str, at: str) -> LabelsDocument:
+    """Note that something is wrong with an episode, labelled or not."""
+    flag = Flag(reason=reason, by=by, at=at)
+    return change_document(
+        folder, lambda old: old.model_copy(update={"flags": (*old.flags, flag)})
+    )  # fmt: skip
+
+
+def withdraw_flags(folder: Path, *, by: str, at: str) -> LabelsDocument:
+    """Withdraw every open flag of an episode; they stay on record."""
+    gone = {"withdrawn_by": by, "withdrawn_at": at}
+
+    def withdraw(old: LabelsDocument) -> LabelsDocument:
+        flags = tuple(f.model_copy(update=gone) if f.open else f for f in old.flags)
+        return old.model_copy(update={"flags": flags})
+
+    return change_document(folder, withdraw)
+
+
+def add_review(
+    folder: Path, verdict: Verdict, comment: str, *, by: str, at: str, expected_revision: int
+) -> LabelsDocument:
+    """Accept or reject the revision that the reviewer has seen.
+
+    Raises:
+        StaleLabelError: Another revision is there by now.
+        LabelError: There are no labels to judge, or they are damaged.
+    """
+
+    def judge(old: LabelsDocument) -> LabelsDocument:
+        _expect(folder, old, expected_revision)
+        if old.revision == 0:
+            raise LabelError(f"{folder}: there are no labels to review; {REMEDY}")
+        review = Review(revision=old.revision, verdict=verdict, comment=comment, by=by, at=at)
+        return old.model_copy(update={"reviews": (*old.reviews, review)})
+
+    return change_document(folder, judge)
+
+
+def change_document(
+    folder: Path,
+    change: Callable[[LabelsDocument], LabelsDocument],
+    points: Mapping[str, np.ndarray] | None = None,
+) -> LabelsDocument:
+    """Replace the labels of an episode by what `change` makes of them, one writer at a time.
+
+    Args:
+        folder: Episode folder, with its manifest.
+        change: Gets the document on disk, or an empty one at revision 0. Returning it as it is
+            writes nothing.
+        points: Arrays by name that the new document refers to beside those that are there.
+
+    Raises:
+        LabelError: What is there is damaged or of another episode; also whatever `change` raises.
+    """
+    manifest = load_manifest(folder)
+    with _locked(folder):
+        remove_partials(folder)
+        old = load_document(folder) or LabelsDocument(
+            episode_id=manifest.id, episode_sha256=episode_sha256(manifest), revision=0, labels=()
+        )
+        new = change(old)
+        if new == old:
+            return old
+        if points:
+            kept = load_arrays(folder, {entry.points_sha256 for entry in old.entries()})
+            _write_arrays(folder / POINTS, {**kept, **points})
+        new.save(folder / LABELS)
+        return new
+
+
+def points_sha256(points_world: np.ndarray) -> str:
+    """Name of an array of points: SHA-256 of its numbers as little-endian float32."""
+    return hashlib.sha256(np.ascontiguousarray(points_world, dtype="<f4").tobytes()).hexdigest()
+
+
+def load_arrays(folder: Path, names: set[str]) -> dict[str, np.ndarray]:
+    """Read and check arrays of points by their names.
+
+    Raises:
+        LabelError: One is missing or not what it was, or the file is damaged.
+    """
+    if not names:
+        return {}
     path = folder / POINTS
     hint = f"delete {LABELS} and {POINTS} there, then {REMEDY}"
     try:
@@ -224,6 +280,16 @@ def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     with atomic_path(path) as partial, partial.open("wb") as stream:
         ordered: dict[str, Any] = {name: arrays[name].astype("<f4") for name in sorted(arrays)}
         np.savez(stream, **ordered)
+
+
+def _expect(folder: Path, found: LabelsDocument, expected_revision: int | None) -> None:
+    if expected_revision is None or expected_revision == found.revision:
+        return
+    by = f" by {found.saved.by}" if found.saved else ""
+    raise StaleLabelError(
+        f"{folder / LABELS}: revision {found.revision}{by} is there, {expected_revision} was "
+        "expected: someone else changed these labels; load them again and repeat the change"
+    )
 
 
 def _one_per_role(labels: Sequence[AttentionLabel], folder: Path) -> tuple[AttentionLabel, ...]:

@@ -105,7 +105,7 @@ def test_a_writer_that_saw_an_older_revision_is_refused(folder: Path) -> None:
 def test_json_is_versioned_and_names_the_points(folder: Path) -> None:
     save_labels(folder, pair())
     raw = json.loads((folder / LABELS).read_text())
-    assert raw["schema"] == "codediffuser.labels/1"
+    assert raw["schema"] == "codediffuser.labels/2"
     assert raw["labels"][0]["points_sha256"] == points_sha256(points(0))
     assert raw["labels"][0]["num_points"] == 30
 
@@ -154,7 +154,7 @@ def test_damaged_points_are_an_error(
 def test_labels_of_a_newer_version_are_refused_by_name(folder: Path) -> None:
     save_labels(folder, pair())
     path = folder / LABELS
-    path.write_text(path.read_text().replace("codediffuser.labels/1", "codediffuser.labels/9"))
+    path.write_text(path.read_text().replace("codediffuser.labels/2", "codediffuser.labels/9"))
     with pytest.raises(SchemaVersionError, match=r"codediffuser\.labels/9"):
         load_labels(folder)
 
