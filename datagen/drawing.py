@@ -1,6 +1,8 @@
-"""Flat pictures as plain data: shapes in metres seen from above, with no plotting library behind.
+"""Flat pictures as plain data: shapes in metres, with no plotting library behind.
 
-World x runs to the right of the page and y up; `reset_image.py` makes pixels of it.
+A `Drawing` is one page with one or more panels side by side, all at one scale. Seen from above,
+world x runs to the right of a panel and y up; seen from the front, z runs up. `reset_image.py`
+makes pixels of it.
 """
 
 from __future__ import annotations
@@ -14,10 +16,10 @@ import numpy as np
 from codediffuser.datagen.scene import SceneSpec
 
 if TYPE_CHECKING:
-    from codediffuser.datagen.task import Observer
+    from codediffuser.datagen.task import Observer, Pad
 
 Point = tuple[float, float]
-"""World x and y, metres."""
+"""Across and up in a panel, metres; world x and y where the panel looks from above."""
 Color = str
 """`#rrggbb`, as displays take it."""
 
@@ -32,6 +34,8 @@ OBJECT_EDGE: Color = "#b0450a"
 TARGET: Color = "#21b24b"
 TARGET_EDGE: Color = "#0e7a2f"
 TARGET_TINT: Color = "#d5f2dc"
+HANDLE: Color = "#1f3fd6"
+"""The line that shows which way a handle points."""
 BORDER_M = 0.02
 """Empty table that is shown around everything."""
 
@@ -55,6 +59,26 @@ class Box:
     high_m: Point
     fill: Color
     edge: Color | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight stroke."""
+
+    start_m: Point
+    end_m: Point
+    color: Color = INK
+    width_pt: float = 1.6
+
+
+@dataclass(frozen=True, slots=True)
+class Polygon:
+    """A closed outline of any number of corners: a book that leans, a branch."""
+
+    corners_m: tuple[Point, ...]
+    fill: Color | None
+    edge: Color | None = None
+    width_pt: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,35 +109,55 @@ class Text:
     color: Color = INK
     bold: bool = False
     align: Literal["left", "center", "right"] = "center"
+    """Which part of the line of words stands at `at_m`; its middle height always does."""
+    rotation_rad: float = 0.0
+    """Counter-clockwise: pi / 2 reads upwards, -pi / 2 downwards as on a spine."""
+    fit_m: float | None = None
+    """Length that the words must not exceed; the size shrinks until they fit."""
 
 
-Shape = Disc | Box | Cross | Arrow | Text
+Shape = Disc | Box | Line | Polygon | Cross | Arrow | Text
 
 
 @dataclass(frozen=True, slots=True)
 class Sides:
-    """What stands at the four edges of the page, in the operator's words."""
+    """What stands at the four edges of a panel, in the operator's words; "" leaves one empty."""
 
-    top: str
-    bottom: str
-    left: str
-    right: str
+    top: str = ""
+    bottom: str = ""
+    left: str = ""
+    right: str = ""
+    robot: bool = False
+    """Whether the bottom edge is where the robot stands; it is then marked by a dark bar."""
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One view of the scene: shapes in the order they are painted."""
+
+    low_m: Point
+    high_m: Point
+    """Corners of the part of the world that is shown."""
+    shapes: tuple[Shape, ...]
+    sides: Sides = Sides()
 
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """One picture: shapes in the order they are painted, and the words around them."""
+    """One page: views side by side at one scale, and the words above them."""
 
     title: str
     notes: tuple[str, ...]
-    """Short facts under the title: `3 on the pad`."""
+    """Short facts beside the title: `3 on the pad`."""
     sentence: str
     """The instruction, shown in full."""
-    sides: Sides
-    low_m: Point
-    high_m: Point
-    """Corners of the part of the table that is shown."""
-    shapes: tuple[Shape, ...]
+    panels: tuple[Panel, ...]
+    """From left to right."""
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The shapes of all panels, each in the coordinates of its own."""
+        return tuple(shape for panel in self.panels for shape in panel.shapes)
 
 
 def grid_of_cells(
@@ -144,26 +188,35 @@ def cell(center_m: Point, pitch_m: float, wall_m: float, fill: Color) -> Box:
     )
 
 
-def pad_with_crosses(low_m: Point, high_m: Point, spacing_m: float) -> list[Shape]:
-    """A pad with crosses at every whole multiple of `spacing_m`, labelled in cm along two edges.
+def pad_with_crosses(pad: Pad) -> list[Shape]:
+    """A pad with its crosses, whose world coordinates stand in cm along two edges.
 
-    The crosses lie at world coordinates, so they stay in place from picture to picture and can be
-    marked once on the real pad.
+    The crosses are those of `pads.pdf`, so they stay in place from picture to picture and lie where
+    the printed ones lie.
     """
-    shapes: list[Shape] = [Box(low_m, high_m, fill=PAD, edge=PAD_EDGE)]
-    xs, ys = (
-        spacing_m
-        * np.arange(np.ceil(low / spacing_m - 1e-9), np.floor(high / spacing_m + 1e-9) + 1)
-        for low, high in zip(low_m, high_m, strict=True)
-    )
-    shapes += [Cross((float(x), float(y)), spacing_m / 5) for y in ys for x in xs]
-    gap = spacing_m / 5
-    for x in xs:
-        shapes.append(Text((float(x), low_m[1] - gap), _cm(float(x)), 8, FAINT))
-    for y in ys:
-        shapes.append(Text((low_m[0] - gap, float(y)), _cm(float(y)), 8, FAINT))
-    shapes.append(Text((low_m[0] - gap, low_m[1] - gap), "cm", 8, FAINT))
+    gap = pad.cross_spacing_m / 5
+    shapes: list[Shape] = [Box(pad.low_m, pad.high_m, fill=PAD, edge=PAD_EDGE)]
+    crosses = pad.crosses_m()
+    shapes += [Cross(at, gap) for at in crosses]
+    for x in sorted({x for x, _ in crosses}):
+        shapes.append(Text((x, pad.low_m[1] - gap), _cm(x), 8, FAINT))
+    for y in sorted({y for _, y in crosses}):
+        shapes.append(Text((pad.low_m[0] - gap, y), _cm(y), 8, FAINT))
+    shapes.append(Text((pad.low_m[0] - gap, pad.low_m[1] - gap), "cm", 8, FAINT))
     return shapes
+
+
+def display_color(color_rgb: Sequence[float]) -> Color:
+    """The colour of an object as displays take it.
+
+    Args:
+        color_rgb: Linear RGB in [0, 1], as in `ObjectSpec`.
+
+    Source: IEC 61966-2-1, the sRGB transfer function.
+    """
+    linear = np.clip(np.asarray(color_rgb, dtype=np.float64), 0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return "#" + "".join(f"{round(255 * float(channel)):02x}" for channel in encoded)
 
 
 def thing(center_m: Point, radius_m: float, *, target: bool) -> Disc:
@@ -186,24 +239,50 @@ def reset_drawing(
     scene: SceneSpec, shapes: Sequence[Shape], observer: Observer, *,
     low_m: Point, high_m: Point, notes: tuple[str, ...],
 ) -> Drawing:  # fmt: skip
-    """Frame shapes as the picture to reset a scene by: its number, its sentence, the four sides.
+    """The picture to reset a scene by, where one view from above says everything."""
+    return reset_page(scene, (from_above(shapes, observer, low_m, high_m),), notes)
 
-    The page shows the table from above with +y up and the robot below. Its sides carry the words
-    that instructions use, so that picture and sentence never disagree.
-    """
+
+def reset_page(scene: SceneSpec, panels: Sequence[Panel], notes: tuple[str, ...]) -> Drawing:
+    """Frame views as the picture to reset a scene by: with its number and its sentence."""
     return Drawing(
         title=f"Episode {int(scene.scene_id)}",
         notes=(scene.task, *notes),
         sentence=scene.instruction.text,
+        panels=tuple(panels),
+    )
+
+
+def from_above(
+    shapes: Sequence[Shape], observer: Observer, low_m: Point, high_m: Point
+) -> Panel:  # fmt: skip
+    """The table between two corners, with +y up and the robot below.
+
+    Its sides carry the words that instructions use, so that picture and sentence never disagree.
+    """
+    return Panel(
+        low_m=(low_m[0] - BORDER_M, low_m[1] - BORDER_M),
+        high_m=(high_m[0] + BORDER_M, high_m[1] + BORDER_M),
+        shapes=tuple(shapes),
         sides=Sides(
             top=_spoken(observer, (0, 1)),
             bottom=f"{_spoken(observer, (0, -1))}  ·  the robot, and you, stand here",
             left=_spoken(observer, (-1, 0)),
             right=_spoken(observer, (1, 0)),
+            robot=True,
         ),
+    )
+
+
+def from_front(
+    shapes: Sequence[Shape], low_m: Point, high_m: Point, sides: Sides = Sides(top="from the front")
+) -> Panel:
+    """A standing thing, seen by somebody in front of it: z runs up, across as the task decides."""
+    return Panel(
         low_m=(low_m[0] - BORDER_M, low_m[1] - BORDER_M),
         high_m=(high_m[0] + BORDER_M, high_m[1] + BORDER_M),
         shapes=tuple(shapes),
+        sides=sides,
     )
 
 

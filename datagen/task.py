@@ -101,6 +101,13 @@ class Observer(Strict):
         return (-self.front[0], -self.front[1])
 
 
+class LabelingConfig(Strict):
+    """How the labeling window shows the task."""
+
+    view: str = "top"
+    """What it opens with: `top` for the plan, or the name of the camera to choose targets in."""
+
+
 class TaskConfig(Document):
     """What every task's YAML holds (`schema: codediffuser.task/1`)."""
 
@@ -114,6 +121,34 @@ class TaskConfig(Document):
     robot: RobotConfig
     workspace: Workspace
     observer: Observer = Observer()
+    labeling: LabelingConfig = LabelingConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class Pad:
+    """A sheet on the table that objects are put on; `pads.pdf` holds it at its true size."""
+
+    name: str
+    """Unique within the task: `pad`."""
+    low_m: tuple[float, float]
+    high_m: tuple[float, float]
+    """Corners, world x and y."""
+    cross_spacing_m: float
+
+    def crosses_m(self) -> list[tuple[float, float]]:
+        """World x and y of the cross markers, row by row from the front left.
+
+        They lie at whole multiples of the spacing in the world, wherever the pad's edges are.
+        """
+        xs, ys = (
+            self.cross_spacing_m
+            * np.arange(
+                np.ceil(low / self.cross_spacing_m - 1e-9),
+                np.floor(high / self.cross_spacing_m + 1e-9) + 1,
+            )
+            for low, high in zip(self.low_m, self.high_m, strict=True)
+        )
+        return [(float(x), float(y)) for y in ys for x in xs]
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,8 +327,16 @@ class Task(ABC, Generic[C]):
         """Name the phase in which an unsuccessful trajectory went wrong."""
 
     @abstractmethod
+    def pads(self, variant: str) -> tuple[Pad, ...]:
+        """The sheets that objects of a variant are put on, as they are printed.
+
+        Raises:
+            ConfigError: `variant` is unknown.
+        """
+
+    @abstractmethod
     def draw_reset(self, scene: SceneSpec) -> Drawing:
-        """The picture by which an operator resets the scene, seen from above."""
+        """The picture by which an operator resets the scene."""
 
 
 TASKS: Registry[type[Task]] = Registry("task")

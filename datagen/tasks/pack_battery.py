@@ -37,6 +37,7 @@ from codediffuser.datagen.task import (
     Geometry,
     Layout,
     Move,
+    Pad,
     SceneView,
     Task,
     TaskConfig,
@@ -162,9 +163,7 @@ class PackBattery(Task[PackBatteryConfig]):
     ) -> Layout:
         """Batteries on the table, clear of each other, and others in slots; one slot stays free."""
         crate = self.config.crate
-        if variant not in self.config.variants:
-            raise ConfigError(unknown_name("variant", variant, list(self.config.variants)))
-        ranges = self.config.variants[variant]
+        ranges = self._ranges(variant)
         slots = crate_slots(crate)
         low, high = ranges.packed_count
         waiting = _count(rng, ranges.waiting_count, picks, "picks: waiting batteries")
@@ -182,6 +181,11 @@ class PackBattery(Task[PackBatteryConfig]):
         standing += [(slot.position_m, slot.id) for slot in taken]
         objects = [self._battery(rng, i, *spot) for i, spot in enumerate(standing)]
         return Layout((*objects, crate_object(crate)), slots)
+
+    def _ranges(self, variant: str) -> VariantConfig:
+        if variant not in self.config.variants:
+            raise ConfigError(unknown_name("variant", variant, list(self.config.variants)))
+        return self.config.variants[variant]
 
     def _battery(
         self, rng: np.random.Generator, number: int, position_m: Vector3, place: str | None
@@ -223,19 +227,24 @@ class PackBattery(Task[PackBatteryConfig]):
             ]
         )
 
+    def pads(self, variant: str) -> tuple[Pad, ...]:
+        """One pad, a margin larger than the area of the batteries' middles."""
+        ranges, picture = self._ranges(variant), self.config.reset_image
+        margin = picture.pad_margin_m
+        low = (ranges.area_x_m[0] - margin, ranges.area_y_m[0] - margin)
+        high = (ranges.area_x_m[1] + margin, ranges.area_y_m[1] + margin)
+        return (Pad("pad", low, high, picture.cross_spacing_m),)
+
     def draw_reset(self, scene: SceneSpec) -> drawing.Drawing:
         """Crate and pad from above, the robot at the bottom; the target pair in green."""
-        crate, picture = self.config.crate, self.config.reset_image
-        ranges, radius = self.config.variants[scene.variant], self.config.battery.radius_m
-        margin = picture.pad_margin_m
-        pad_low = (ranges.area_x_m[0] - margin, ranges.area_y_m[0] - margin)
-        pad_high = (ranges.area_x_m[1] + margin, ranges.area_y_m[1] + margin)
+        crate, radius = self.config.crate, self.config.battery.radius_m
+        (pad,) = self.pads(scene.variant)
         footprint = crate_footprint(crate)
         slot_m = scene.place(scene.target.place).position_m[:2]
         pick_m = scene.object(scene.target.pick).position_m[:2]
         painted = [
             *crate_from_above(crate),
-            *drawing.pad_with_crosses(pad_low, pad_high, picture.cross_spacing_m),
+            *drawing.pad_with_crosses(pad),
             drawing.cell(slot_m, crate.pitch_m, crate.wall_m, drawing.TARGET_TINT),
             drawing.arrow_between(pick_m, radius, slot_m, radius),
             drawing.Disc(slot_m, radius, None, drawing.TARGET_EDGE, dashed=True),
@@ -247,8 +256,8 @@ class PackBattery(Task[PackBatteryConfig]):
         painted.append(drawing.Text(pick_m, "take", 9, "#ffffff", bold=True))
         return drawing.reset_drawing(
             scene, painted, self.config.observer,
-            low_m=(min(pad_low[0], footprint.x_m[0]), min(pad_low[1], footprint.y_m[0])),
-            high_m=(max(pad_high[0], footprint.x_m[1]), max(pad_high[1], footprint.y_m[1])),
+            low_m=(min(pad.low_m[0], footprint.x_m[0]), min(pad.low_m[1], footprint.y_m[0])),
+            high_m=(max(pad.high_m[0], footprint.x_m[1]), max(pad.high_m[1], footprint.y_m[1])),
             notes=(
                 f"{scene.ambiguity.picks} on the pad",
                 f"{len(scene.places) - scene.ambiguity.places} in the crate",

@@ -59,8 +59,9 @@ def test_the_drawing_says_episode_instruction_sides_and_where_the_robot_is(
 ) -> None:
     assert picture.title == f"Episode {int(scene.scene_id)}"
     assert picture.sentence == scene.instruction.text
-    assert (picture.sides.left, picture.sides.right, picture.sides.top) == ("left", "right", "back")
-    assert picture.sides.bottom.startswith("front") and "robot" in picture.sides.bottom
+    (panel,) = picture.panels
+    assert (panel.sides.left, panel.sides.right, panel.sides.top) == ("left", "right", "back")
+    assert panel.sides.bottom.startswith("front") and "robot" in panel.sides.bottom
     assert {"3 on the pad", "6 in the crate"} <= set(picture.notes)
 
 
@@ -68,20 +69,21 @@ def test_sides_speak_as_the_instructions_do(scene: SceneSpec) -> None:
     config = PackBattery.load_config()
     observer = Observer(right=(1, 0), front=(0, 1))
     picture = PackBattery(config.model_copy(update={"observer": observer})).draw_reset(scene)
-    assert picture.sides.top == "front" and picture.sides.bottom.startswith("back")
+    (panel,) = picture.panels
+    assert panel.sides.top == "front" and panel.sides.bottom.startswith("back")
 
 
 def test_everything_is_inside_the_page(scenes: list[SceneSpec], pack_battery: PackBattery) -> None:
     for scene in scenes[:20]:
-        picture = pack_battery.draw_reset(scene)
-        for shape in picture.shapes:
+        (panel,) = pack_battery.draw_reset(scene).panels
+        for shape in panel.shapes:
             points = {
                 Disc: ("center_m",), Cross: ("center_m",), Box: ("low_m", "high_m"),
                 Arrow: ("start_m", "end_m"), Text: ("at_m",),
             }[type(shape)]  # fmt: skip
             for name in points:
                 at = np.array(getattr(shape, name))
-                assert np.all(at >= picture.low_m) and np.all(at <= picture.high_m)
+                assert np.all(at >= panel.low_m) and np.all(at <= panel.high_m)
 
 
 def test_the_same_drawing_gives_the_same_bytes(picture: Drawing, tmp_path: Path) -> None:
