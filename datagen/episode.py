@@ -17,7 +17,7 @@ from rosbags.serde import SerdeError
 
 from codediffuser.datagen import episode_format as fmt
 from codediffuser.datagen import ros_messages as ros
-from codediffuser.datagen.episode_format import Camera, EpisodeManifest
+from codediffuser.datagen.episode_format import Camera, EpisodeManifest, MotionRecord
 from codediffuser.datagen.episode_writer import step_time_ns
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.trajectory import Trajectory
@@ -43,7 +43,8 @@ class Frame:
     rgb: dict[str, np.ndarray]
     """(H, W, 3) uint8 by camera; empty when colour was not asked for."""
     depth_m: dict[str, np.ndarray]
-    """(H, W) float32 by camera, along the optical axis, 0 for no reading; empty when not asked."""
+    """(H, W) float32 by camera that gives depth, along the optical axis, 0 for no reading; empty
+    when not asked."""
 
 
 class Episode:
@@ -107,7 +108,8 @@ class Episode:
     @property
     def remedy(self) -> str:
         """What to do when the folder is damaged."""
-        verb = "demo" if self.manifest.source == "simulation" else "import"
+        made_here = self.manifest.source == "simulation" and self.manifest.recording is None
+        verb = "demo" if made_here else "import"
         return f"delete the folder {self.folder} and run {verb} again"
 
     @functools.cached_property
@@ -130,14 +132,14 @@ class Episode:
 
     @functools.cached_property
     def cameras(self) -> dict[str, Camera]:
-        """Calibrated cameras by name, in the order of the manifest."""
-        names = [c.name for c in self.manifest.cameras]
+        """Calibrated cameras that stand still, by name, in the order of the manifest."""
+        names = [c.name for c in self.manifest.cameras if c.calibrated and not c.moving]
         infos, poses = {}, {}
         with self._reading():
             topics = [fmt.TF_STATIC, *(fmt.info_topic(n) for n in names)]
             for topic, data in self._messages(topics, 0, 1):
                 if topic == fmt.TF_STATIC:
-                    poses.update(ros.decode_static_transforms(data))
+                    poses.update(ros.decode_transforms(data))
                 else:
                     infos[topic] = ros.decode_camera_info(data)
             cameras = {}
@@ -146,39 +148,74 @@ class Episode:
                 cameras[name] = Camera(K, poses[fmt.optical_frame(name)], width, height)
         return cameras
 
+    @property
+    def depth_cameras(self) -> dict[str, Camera]:
+        """Those of `cameras` that give depth: what clouds are made from."""
+        depth = {c.name for c in self.manifest.cameras if c.depth}
+        return {name: camera for name, camera in self.cameras.items() if name in depth}
+
+    def camera_poses(self, name: str) -> np.ndarray:
+        """T_world_camera (T, 4, 4) float64 of one calibrated camera, moving or not.
+
+        Raises:
+            EpisodeError: There is no such camera, or it is not calibrated.
+        """
+        self._camera_names([name])
+        if name in self.cameras:
+            return np.tile(self.cameras[name].T_world_camera, (self.num_frames, 1, 1))
+        frame = fmt.optical_frame(name)
+        with self._reading():
+            messages = self._messages([fmt.TF], 0, self.num_frames)
+            found = [ros.decode_transforms(data) for _, data in messages]
+        poses = [T[frame] for T in found if frame in T]
+        if len(poses) != self.num_frames:
+            raise EpisodeError(f"{self.folder}: camera '{name}' is not calibrated in every frame")
+        return np.stack(poses)
+
+    def camera_info(self, name: str) -> tuple[np.ndarray, int, int]:
+        """K (3, 3) float64 in pixels, width and height of one calibrated camera.
+
+        Raises:
+            EpisodeError: There is no such camera, or it is not calibrated.
+        """
+        self._camera_names([name])
+        with self._reading():
+            for _, data in self._messages([fmt.info_topic(name)], 0, 1):
+                return ros.decode_camera_info(data)
+        raise EpisodeError(f"{self.folder}: camera '{name}' is not calibrated")
+
     @functools.cached_property
     def _low_dim(self) -> tuple[np.ndarray, np.ndarray]:
-        """State and actions, both (T, 10) float32, from one pass over the log."""
-        hand, command = [], []
-        opening, gripper = [], []
+        """State and actions, both (T, n) float32, from one pass over the log."""
+        motion = self.manifest.motion
+        rows: dict[str, list[np.ndarray]] = {topic: [] for topic in motion.step_topics}
         with self._reading():
-            for topic, data in self._messages(fmt.STEP_TOPICS, 0, self.num_frames):
-                if topic == fmt.HAND_POSE:
-                    hand.append(_pose_row(ros.decode_pose(data)))
-                elif topic == fmt.COMMAND_POSE:
-                    command.append(_pose_row(ros.decode_pose(data)))
-                elif topic == fmt.JOINT_STATES:
-                    opening.append(_finger_opening(*ros.decode_joint_state(data)[:2]))
-                else:
-                    gripper.append(ros.decode_float(data))
-        lengths = {len(hand), len(opening), len(command), len(gripper)}
+            for topic, data in self._messages(motion.step_topics, 0, self.num_frames):
+                rows[topic].append(_low_dim_row(topic, data, motion))
+        lengths = {len(found) for found in rows.values()}
         if lengths != {self.num_frames}:
             raise EpisodeError(
                 f"{self.log_path}: expected {self.num_frames} messages of each of "
-                f"{', '.join(fmt.STEP_TOPICS)}, got {sorted(lengths)}; {self.remedy}"
+                f"{', '.join(rows)}, got {sorted(lengths)}; {self.remedy}"
             )
-        state = np.column_stack([np.array(hand), opening]).astype(np.float32)
-        actions = np.column_stack([np.array(command), gripper]).astype(np.float32)
-        return state, actions
+        if motion.kind == "joints":
+            state, actions = np.array(rows[fmt.JOINT_STATES]), np.array(rows[fmt.COMMAND_JOINTS])
+            return state.astype(np.float32), actions.astype(np.float32)
+        state = np.column_stack([rows[fmt.HAND_POSE], rows[fmt.JOINT_STATES]])
+        actions = np.column_stack([rows[fmt.COMMAND_POSE], rows[fmt.COMMAND_GRIPPER]])
+        return state.astype(np.float32), actions.astype(np.float32)
 
     @property
     def state(self) -> np.ndarray:
-        """(T, 10) float32: measured hand pose (xyz m, rotation-6D) and mean finger opening, m."""
+        """(T, n) float32, as `manifest.motion` names the columns.
+
+        By default n = 10: measured hand pose (xyz m, rotation-6D) and mean finger opening, m.
+        """
         return self._low_dim[0]
 
     @property
     def actions(self) -> np.ndarray:
-        """(T, 10) float32: commanded hand pose and finger opening; action k follows frame k."""
+        """(T, m) float32, action k follows frame k; by default commanded hand pose and opening."""
         return self._low_dim[1]
 
     def frame(
@@ -227,9 +264,10 @@ class Episode:
             EpisodeError: No such camera, a picture is missing, or the log is damaged.
         """
         names = self._camera_names(cameras)
+        with_depth = {c.name for c in self.manifest.cameras if c.depth}
         stop = self.num_frames if stop is None else min(stop, self.num_frames)
         color_topics = {fmt.color_topic(n): n for n in names} if color else {}
-        depth_topics = {fmt.depth_topic(n): n for n in names} if depth else {}
+        depth_topics = {fmt.depth_topic(n): n for n in names if depth and n in with_depth}
         wanted = len(color_topics) + len(depth_topics)
         if not wanted:
             yield from (self._empty_frame(k) for k in range(start, stop))
@@ -328,8 +366,20 @@ def _pose_row(T_world_hand: np.ndarray) -> np.ndarray:
     return np.concatenate([T_world_hand[:3, 3], matrix_to_rot6d(T_world_hand[:3, :3])])
 
 
-def _finger_opening(names: tuple[str, ...], qpos: np.ndarray) -> float:
-    fingers = [i for i, name in enumerate(names) if "finger" in name]
+def _low_dim_row(topic: str, data: bytes, motion: MotionRecord) -> np.ndarray:
+    """What one message adds to the rows of state or actions."""
+    if topic in (fmt.HAND_POSE, fmt.COMMAND_POSE):
+        return _pose_row(ros.decode_pose(data))
+    if topic == fmt.COMMAND_GRIPPER:
+        return np.array([ros.decode_float(data)])
+    names, values, _ = ros.decode_joint_state(data)
+    if motion.kind == "joints":
+        return values
+    fingers = [
+        i
+        for i, name in enumerate(names)
+        if (name in motion.gripper_joints if motion.gripper_joints else "finger" in name)
+    ]
     if not fingers:
         raise EpisodeError(f"joint states name no finger joint: {', '.join(names)}")
-    return float(qpos[fingers].mean())
+    return np.array([values[fingers].mean()])

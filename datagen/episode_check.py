@@ -90,9 +90,11 @@ def _check_messages(episode: Episode) -> Iterator[Finding]:
             yield Finding(
                 log, f"{topic}: expected {expected} messages, found {found}", episode.remedy
             )
-    per_step = [*fmt.STEP_TOPICS]
+    per_step = [*manifest.motion.step_topics]
     for camera in manifest.cameras:
-        per_step += [fmt.color_topic(camera.name), fmt.depth_topic(camera.name)]
+        per_step.append(fmt.color_topic(camera.name))
+        if camera.depth:
+            per_step.append(fmt.depth_topic(camera.name))
     expected_times = [step_time_ns(k, manifest.hz) for k in range(manifest.frames)]
     for topic in per_step:
         if times[topic] != expected_times:
@@ -102,13 +104,14 @@ def _check_messages(episode: Episode) -> Iterator[Finding]:
 
 def _check_pictures(episode: Episode) -> Iterator[Finding]:
     """Size of every picture, and that each camera sees something."""
-    cameras, log = episode.cameras, str(episode.log_path)
-    seen = dict.fromkeys(cameras, False)
+    cameras, log = {c.name: c for c in episode.manifest.cameras}, str(episode.log_path)
+    seen = {name: not camera.depth for name, camera in cameras.items()}
     wrong: dict[str, int] = {}
     for frame in episode.frames():
         for name, camera in cameras.items():
             shape = (camera.height, camera.width)
-            if frame.rgb[name].shape[:2] != shape or frame.depth_m[name].shape != shape:
+            pictures = [frame.rgb[name]] + [frame.depth_m[name]] * camera.depth
+            if any(picture.shape[:2] != shape for picture in pictures):
                 wrong.setdefault(name, frame.index)
             seen[name] = seen[name] or bool(frame.depth_m[name].any())
     for name, index in wrong.items():

@@ -5,12 +5,14 @@ RUN/episodes/000042/
     episode.mcap    everything that was sensed and commanded, ROS 2 messages
     scene.yaml      the configuration it was reset to (simulation)
     states.npz      simulator states per control step (simulation)
+    sync.npz        which message each frame took, and when that was (imported recordings)
     episode.json    the manifest below
 ```
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -18,22 +20,27 @@ import numpy as np
 from pydantic import Field
 
 from codediffuser.datagen.scene import SeedKey
-from codediffuser.schema import Document, Strict
+from codediffuser.datagen.trajectory import ACTION_NAMES
+from codediffuser.schema import Document, Raw, Strict
 
 EPISODES = "episodes"
 LOG = "episode.mcap"
 SCENE = "scene.yaml"
 STATES = "states.npz"
+SYNC = "sync.npz"
 MANIFEST = "episode.json"
 
+TF = "/tf"
 TF_STATIC = "/tf_static"
 INSTRUCTION = "/instruction"
 JOINT_STATES = "/joint_states"
 HAND_POSE = "/ee_pose"
 COMMAND_POSE = "/command/ee_pose"
 COMMAND_GRIPPER = "/command/gripper"
-STEP_TOPICS = (JOINT_STATES, HAND_POSE, COMMAND_POSE, COMMAND_GRIPPER)
-"""Topics with one message per control step, beside the pictures."""
+COMMAND_JOINTS = "/command/joint_states"
+HAND_TOPICS = (JOINT_STATES, HAND_POSE, COMMAND_POSE, COMMAND_GRIPPER)
+JOINT_TOPICS = (JOINT_STATES, COMMAND_JOINTS)
+"""Topics with one message per control step, beside the pictures, by `MotionRecord.kind`."""
 
 WORLD_FRAME = "world"
 PANDA_JOINT_NAMES = (*(f"panda_joint{i}" for i in range(1, 8)), "panda_finger_joint1",
@@ -93,6 +100,29 @@ class CameraRecord(Strict):
     name: str
     width: int
     height: int
+    depth: bool = True
+    """Whether it gives depth beside colour."""
+    calibrated: bool = True
+    """Whether the log holds its intrinsics and its pose."""
+    moving: bool = False
+    """Whether its pose comes with every frame, as for a camera on a hand."""
+
+
+class MotionRecord(Strict):
+    """What a row of state and of actions means."""
+
+    kind: Literal["hand", "joints"] = "hand"
+    """`hand`: absolute hand pose in the world and finger opening. `joints`: named numbers as the
+    recording gave them, for robots whose hand pose is not known."""
+    state_names: tuple[str, ...] = ACTION_NAMES
+    action_names: tuple[str, ...] = ACTION_NAMES
+    gripper_joints: tuple[str, ...] = ()
+    """Joints whose mean is the finger opening; empty: those that have `finger` in their name."""
+
+    @property
+    def step_topics(self) -> tuple[str, ...]:
+        """Topics with one message per control step, beside the pictures."""
+        return HAND_TOPICS if self.kind == "hand" else JOINT_TOPICS
 
 
 class ConditionRecord(Strict):
@@ -104,14 +134,83 @@ class ConditionRecord(Strict):
     holds: bool
 
 
-class EpisodeManifest(Document):
-    """What `episode.json` says (`schema: codediffuser.episode/1`).
+class TopicSync(Strict):
+    """How one signal of a recording was brought to the frames. Times in milliseconds."""
 
-    It holds no time of day: the same seed and code give the same bytes.
+    topic: str
+    method: Literal["latest", "linear", "next"]
+    """`latest`: the newest message not after the frame. `linear`: between two messages, so it is
+    not causal. `next`: the newest not after the following frame, for commands alone."""
+    clock: Literal["bag", "header"]
+    messages: int
+    """Messages between the first and the last frame."""
+    rate_hz: float
+    """From the median interval."""
+    skew_p50_ms: float
+    skew_p95_ms: float
+    skew_max_ms: float
+    """Age of the message at its frame."""
+    jitter_p95_ms: float
+    """Deviation of an interval from the median one."""
+    missing: int
+    """Messages that the rate would have brought and that did not come."""
+    late: int
+    """Messages that arrived later after their header stamp than others by a clear margin."""
+    reordered: int
+    """Messages that arrived after one with a later header stamp."""
+    duplicates: int
+    """Messages with the header stamp of an earlier one."""
+    held_frames: int
+    """Frames that use a message older than the limit, because the configuration holds."""
+    dropped_frames: int
+    """Frames that are left out because this signal was missing or too old."""
+    faults: tuple[str, ...] = ()
+    """The first of these in words, with seconds since the recording's start."""
+
+
+class SyncRecord(Strict):
+    """How an imported episode was synchronised."""
+
+    clock: Literal["bag", "header"]
+    reference: str
+    """Topic whose messages are the frames; empty for a fixed rate."""
+    max_age_ms: float
+    on_stale: Literal["drop", "hold"]
+    action: str
+    """Where actions come from, in words."""
+    dropped_frames: int
+    held_frames: int
+    signals: dict[str, TopicSync]
+
+
+class RecordingRecord(Strict):
+    """Where an imported episode comes from."""
+
+    path: str
+    """Name of the file or folder, without the folders above it."""
+    format: str
+    segment: int
+    """Which of the recording's episodes, from 0."""
+    start_ns: int
+    stop_ns: int
+    """First and last moment on the recording's clock; 0 where a format has none."""
+    config_sha256: str
+    damage: tuple[str, ...] = ()
+    """What of the recording could not be read."""
+    sync: SyncRecord | None = None
+    """None for formats that store one row per frame."""
+
+
+class EpisodeManifest(Document):
+    """What `episode.json` says (`schema: codediffuser.episode/2`).
+
+    Version 2 adds `motion`, `recording`, and what each camera gives. It holds no time of day: the
+    same seed and code give the same bytes.
     """
 
     KIND: ClassVar[str] = "episode"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
+    UPGRADES: ClassVar[dict[int, Callable[[Raw], Raw]]] = {1: dict}  # all that is new has defaults
 
     id: str
     task: str
@@ -127,6 +226,9 @@ class EpisodeManifest(Document):
     """T: observations, each followed by one action."""
     hz: int
     cameras: tuple[CameraRecord, ...]
+    motion: MotionRecord = MotionRecord()
+    recording: RecordingRecord | None = None
+    """Where an imported episode comes from; None for one that was made here."""
     image: ImageOptions
     topics: dict[str, int]
     """How many messages of each topic the log holds."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Literal, Self
@@ -31,6 +31,8 @@ from codediffuser.datagen.episode_format import (
     EpisodeManifest,
     FileRecord,
     ImageOptions,
+    MotionRecord,
+    RecordingRecord,
 )
 from codediffuser.datagen.scene import SeedKey
 from codediffuser.datagen.trajectory import CONTROL_HZ, Trajectory
@@ -62,11 +64,13 @@ class LogStep:
     """(n,) float64, rad or m."""
     qvel: np.ndarray
     """(n,) float64, rad/s or m/s."""
-    T_world_hand: np.ndarray
-    """(4, 4) float64."""
+    T_world_hand: np.ndarray | None
+    """(4, 4) float64; None when the episode's motion is of kind `joints`."""
     action: np.ndarray
-    """(10,) float32, see `trajectory.ACTION_NAMES`."""
+    """(10,) float32, see `trajectory.ACTION_NAMES`; for joints (m,), as the motion names them."""
     pictures: Pictures
+    T_world_camera: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """(4, 4) float64 of every moving camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,8 @@ class EpisodeFacts:
     seed: SeedKey | None = None
     reason: str = ""
     conditions: tuple[ConditionRecord, ...] = ()
+    motion: MotionRecord = field(default_factory=MotionRecord)
+    recording: RecordingRecord | None = None
 
 
 class LogWriter:
@@ -88,11 +94,13 @@ class LogWriter:
 
     Args:
         stream: Where the MCAP goes; stays open.
-        cameras: The cameras whose pictures every step brings.
+        cameras: Calibration of cameras by name.
         instruction: The sentence that was asked.
         hz: Control steps per second.
         image: How colour is stored.
         joint_names: Names in the order of `LogStep.qpos`.
+        motion: What state and actions mean.
+        records: What each camera brings at every step; None: all of `cameras`, colour and depth.
     """
 
     def __init__(
@@ -104,10 +112,14 @@ class LogWriter:
         hz: int = CONTROL_HZ,
         image: ImageOptions | None = None,
         joint_names: tuple[str, ...] = fmt.PANDA_JOINT_NAMES,
+        motion: MotionRecord | None = None,
+        records: Sequence[CameraRecord] | None = None,
     ) -> None:
         self.num_steps = 0
         self.counts: dict[str, int] = {}
+        self.records = camera_records(cameras) if records is None else tuple(records)
         self._cameras = dict(cameras)
+        self._motion = motion or MotionRecord()
         self._hz = hz
         self._image = image or ImageOptions()
         self._joint_names = joint_names
@@ -136,40 +148,59 @@ class LogWriter:
             ShapeError: A picture is missing, or an array has not the shape of its contract.
         """
         t = step_time_ns(self.num_steps, self._hz)
-        if step.action.shape != (10,):
-            raise ShapeError(f"action: expected shape (10,), got {step.action.shape}")
+        size = len(self._motion.action_names)
+        if step.action.shape != (size,):
+            raise ShapeError(f"action: expected shape ({size},), got {step.action.shape}")
         self._add(
             fmt.JOINT_STATES,
             ros.JOINT_STATE,
             ros.encode_joint_state(self._joint_names, step.qpos, step.qvel, t),
             t,
         )
-        self._add(fmt.HAND_POSE, ros.POSE_STAMPED, ros.encode_pose(step.T_world_hand, t), t)
-        for name, camera in self._cameras.items():
-            self._add_pictures(name, camera, step.pictures, t)
-        T_world_command = make_transform(rot6d_to_matrix(step.action[3:9]), step.action[:3])
-        self._add(fmt.COMMAND_POSE, ros.POSE_STAMPED, ros.encode_pose(T_world_command, t), t)
-        self._add(fmt.COMMAND_GRIPPER, ros.FLOAT64, ros.encode_float(step.action[9]), t)
+        if step.T_world_hand is not None:
+            self._add(fmt.HAND_POSE, ros.POSE_STAMPED, ros.encode_pose(step.T_world_hand, t), t)
+        for record in self.records:
+            self._add_pictures(record, step.pictures, t)
+        moving = {
+            fmt.optical_frame(r.name): step.T_world_camera[r.name] for r in self.records if r.moving
+        }
+        if moving:
+            self._add(fmt.TF, ros.TF_MESSAGE, ros.encode_transforms(moving, t), t)
+        self._add_command(step.action, t)
         self.num_steps += 1
 
-    def _add_pictures(self, name: str, camera: Camera, pictures: Pictures, t: int) -> None:
-        for kind, images in (("rgb", pictures.rgb), ("depth_mm", pictures.depth_mm)):
+    def _add_command(self, action: np.ndarray, t: int) -> None:
+        if self._motion.kind == "joints":
+            names = self._motion.action_names
+            command = ros.encode_joint_state(names, action, np.zeros(len(names)), t)
+            self._add(fmt.COMMAND_JOINTS, ros.JOINT_STATE, command, t)
+            return
+        T_world_command = make_transform(rot6d_to_matrix(action[3:9]), action[:3])
+        self._add(fmt.COMMAND_POSE, ros.POSE_STAMPED, ros.encode_pose(T_world_command, t), t)
+        self._add(fmt.COMMAND_GRIPPER, ros.FLOAT64, ros.encode_float(action[9]), t)
+
+    def _add_pictures(self, record: CameraRecord, pictures: Pictures, t: int) -> None:
+        name, kinds = record.name, {"rgb": pictures.rgb}
+        if record.depth:
+            kinds["depth_mm"] = pictures.depth_mm
+        for kind, images in kinds.items():
             if name not in images:
                 raise ShapeError(f"step {self.num_steps}: no {kind} picture of camera '{name}'")
-            if images[name].shape[:2] != (camera.height, camera.width):
+            if images[name].shape[:2] != (record.height, record.width):
                 raise ShapeError(
                     f"step {self.num_steps}: {kind} of camera '{name}': expected "
-                    f"{(camera.height, camera.width)}, got {images[name].shape[:2]}"
+                    f"{(record.height, record.width)}, got {images[name].shape[:2]}"
                 )
         frame = fmt.optical_frame(name)
         color = ros.encode_color(pictures.rgb[name], t, frame, self._image)
         self._add(fmt.color_topic(name), ros.COMPRESSED_IMAGE, color, t)
-        depth = ros.encode_depth(pictures.depth_mm[name], t, frame)
-        self._add(fmt.depth_topic(name), ros.IMAGE, depth, t)
+        if record.depth:
+            depth = ros.encode_depth(pictures.depth_mm[name], t, frame)
+            self._add(fmt.depth_topic(name), ros.IMAGE, depth, t)
 
     def _write_static(self, instruction: str) -> None:
         poses = {fmt.optical_frame(n): c.T_world_camera for n, c in self._cameras.items()}
-        transforms = ros.encode_static_transforms(poses)
+        transforms = ros.encode_transforms(poses)
         self._add(fmt.TF_STATIC, ros.TF_MESSAGE, transforms, 0, latched=True)
         self._add(fmt.INSTRUCTION, ros.STRING, ros.encode_string(instruction), 0, latched=True)
         for name, camera in self._cameras.items():
@@ -202,6 +233,11 @@ class LogWriter:
             metadata={"offered_qos_profiles": _qos(latched)},
         )
         self.counts[topic] = 0
+
+
+def camera_records(cameras: Mapping[str, Camera]) -> tuple[CameraRecord, ...]:
+    """Cameras that stand still and give colour and depth."""
+    return tuple(CameraRecord(name=n, width=c.width, height=c.height) for n, c in cameras.items())
 
 
 def step_time_ns(step: int, hz: int) -> int:
@@ -242,6 +278,8 @@ def write_episode(
     joint_names: tuple[str, ...] = fmt.PANDA_JOINT_NAMES,
     scene_file: Path | None = None,
     trajectory: Trajectory | None = None,
+    sync: Callable[[], Mapping[str, np.ndarray]] | None = None,
+    records: Sequence[CameraRecord] | None = None,
     keep: Iterable[Path] = (),
 ) -> EpisodeManifest:
     """Write an episode folder whole or not at all; an older folder of that name is replaced.
@@ -256,6 +294,8 @@ def write_episode(
         joint_names: Names in the order of `LogStep.qpos`.
         scene_file: The scene it was reset to, copied byte for byte.
         trajectory: Simulator states, stored beside the log.
+        sync: Gives, once all steps are consumed, the arrays of `sync.npz`.
+        records: What each camera brings at every step; None: all of `cameras`, colour and depth.
         keep: Further files that are copied into the folder and not listed, such as labels.
 
     Raises:
@@ -266,8 +306,9 @@ def write_episode(
     with atomic_folder(folder) as partial:
         with (partial / fmt.LOG).open("wb") as stream:
             log = LogWriter(
-                stream, cameras, facts.instruction, hz=hz, image=image, joint_names=joint_names
-            )
+                stream, cameras, facts.instruction, hz=hz, image=image,
+                joint_names=joint_names, motion=facts.motion, records=records,
+            )  # fmt: skip
             with log:
                 for step in steps:
                     log.add_step(step)
@@ -278,7 +319,9 @@ def write_episode(
             shutil.copyfile(scene_file, partial / fmt.SCENE)
         if trajectory is not None:
             trajectory.save(partial / fmt.STATES)
-        manifest = _manifest(partial, facts, cameras, log, hz, image)
+        if sync is not None:
+            np.savez(partial / fmt.SYNC, **dict(sync()))  # type: ignore[arg-type]
+        manifest = _manifest(partial, facts, log, hz, image)
         manifest.save(partial / fmt.MANIFEST)
         for path in keep:
             shutil.copyfile(path, partial / path.name)
@@ -288,7 +331,6 @@ def write_episode(
 def _manifest(
     partial: Path,
     facts: EpisodeFacts,
-    cameras: Mapping[str, Camera],
     log: LogWriter,
     hz: int,
     image: ImageOptions,
@@ -308,9 +350,9 @@ def _manifest(
         conditions=facts.conditions,
         frames=log.num_steps,
         hz=hz,
-        cameras=tuple(
-            CameraRecord(name=n, width=c.width, height=c.height) for n, c in cameras.items()
-        ),
+        cameras=log.records,
+        motion=facts.motion,
+        recording=facts.recording,
         image=image,
         topics=log.counts,
         versions=versions(),

@@ -7,6 +7,7 @@ from the typestore of `rosbags`. Only here do quaternions change from (w, x, y, 
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -118,11 +119,11 @@ def decode_camera_info(data: bytes) -> tuple[np.ndarray, int, int]:
     return message.k.reshape(3, 3).copy(), int(message.width), int(message.height)
 
 
-def encode_static_transforms(T_world_child: dict[str, np.ndarray]) -> bytes:
+def encode_transforms(T_world_child: Mapping[str, np.ndarray], time_ns: int = 0) -> bytes:
     """Pack poses (4, 4) in the world by the name of their frame."""
     stamped = [
         _TYPES["geometry_msgs/msg/TransformStamped"](
-            _header(0, WORLD_FRAME),
+            _header(time_ns, WORLD_FRAME),
             name,
             _TYPES["geometry_msgs/msg/Transform"](
                 _TYPES["geometry_msgs/msg/Vector3"](*T[:3, 3].tolist()), _quaternion(T)
@@ -133,7 +134,7 @@ def encode_static_transforms(T_world_child: dict[str, np.ndarray]) -> bytes:
     return _encode(_TYPES[TF_MESSAGE](stamped), TF_MESSAGE)
 
 
-def decode_static_transforms(data: bytes) -> dict[str, np.ndarray]:
+def decode_transforms(data: bytes) -> dict[str, np.ndarray]:
     """Unpack poses (4, 4) float64 by the name of their frame.
 
     Raises:
@@ -143,7 +144,7 @@ def decode_static_transforms(data: bytes) -> dict[str, np.ndarray]:
     for item in _decode(data, TF_MESSAGE).transforms:
         if item.header.frame_id != WORLD_FRAME:
             raise EpisodeError(
-                f"/tf_static: expected '{item.child_frame_id}' in frame '{WORLD_FRAME}', "
+                f"transform: expected '{item.child_frame_id}' in frame '{WORLD_FRAME}', "
                 f"got '{item.header.frame_id}'"
             )
         t, q = item.transform.translation, item.transform.rotation

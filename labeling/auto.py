@@ -79,7 +79,7 @@ def label_episode(folder: Path, *, overwrite: bool = False) -> LabelSet:
 def start_cloud(episode: Episode, task: Task) -> np.ndarray:
     """Points (N, 3) float32 that all cameras see in the task's workspace at frame 0, metres."""
     frame = episode.frame(0, color=False)
-    views = [(frame.depth_m[n], c.K, c.T_world_camera) for n, c in episode.cameras.items()]
+    views = [(frame.depth_m[n], c.K, c.T_world_camera) for n, c in episode.depth_cameras.items()]
     box = task.config.workspace
     return crop_box(fuse_views(views), np.array(box.low_m), np.array(box.high_m))
 

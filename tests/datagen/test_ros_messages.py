@@ -65,7 +65,7 @@ def test_camera_info_and_static_transforms_come_back():
     )
     np.testing.assert_array_equal(K_back, K)
     assert (width, height) == (32, 24)
-    back = ros.decode_static_transforms(ros.encode_static_transforms({"left_optical": T}))
+    back = ros.decode_transforms(ros.encode_transforms({"left_optical": T}))
     np.testing.assert_allclose(back["left_optical"], T, atol=1e-12)
 
 
@@ -86,7 +86,7 @@ def test_joints_text_and_numbers_come_back():
         (ros.COMPRESSED_IMAGE, ros.encode_color(smooth_rgb(), 7, "left_optical")),
         (ros.IMAGE, ros.encode_depth(np.ones((4, 6), np.uint16), 7, "left_optical")),
         (ros.JOINT_STATE, ros.encode_joint_state(("a",), np.ones(1), np.ones(1), 7)),
-        (ros.TF_MESSAGE, ros.encode_static_transforms({"left_optical": np.eye(4)})),
+        (ros.TF_MESSAGE, ros.encode_transforms({"left_optical": np.eye(4)})),
         (ros.FLOAT64, ros.encode_float(1.5)),
     ],
 )
@@ -125,8 +125,8 @@ def test_a_picture_of_damaged_bytes_is_refused():
 
 
 def test_a_transform_from_another_frame_is_refused():
-    data = bytearray(ros.encode_static_transforms({"left_optical": np.eye(4)}))
+    data = bytearray(ros.encode_transforms({"left_optical": np.eye(4)}))
     at = bytes(data).index(b"world")
     data[at : at + 5] = b"table"
     with pytest.raises(EpisodeError, match="expected 'left_optical' in frame 'world', got 'table'"):
-        ros.decode_static_transforms(bytes(data))
+        ros.decode_transforms(bytes(data))
