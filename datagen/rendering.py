@@ -1,7 +1,7 @@
 """Draws recorded states: all cameras of a task, no physics steps, no tensors.
 
-One `Renderer` serves a whole process: robot, table, lights and cameras are built once, objects
-are exchanged per scene.
+One `Renderer` serves a whole process: robot, table and cameras are built once, objects, lights and
+whatever else an episode's appearance changes are exchanged per scene.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 import sapien
 
 from codediffuser.datagen import sim
+from codediffuser.datagen.appearance import Looks
 from codediffuser.datagen.assets import panda_urdf
 from codediffuser.datagen.cameras import camera_parameters, sapien_camera_pose
 from codediffuser.datagen.robot import base_pose
@@ -60,16 +61,16 @@ class Renderer:
         self.task = task
         self.cameras = cameras or task.config.cameras
         self.parameters = camera_parameters(self.cameras)
-        """Name to (K, T_world_camera), OpenCV."""
+        """Name to (K, T_world_camera), OpenCV, as they stand in the present scene."""
         self._scene = _picture_scene(device)
         self._robot = _load_robot(self._scene, task)
-        for entity in (
-            sim.make_table(bodies=False, visuals=True),
-            sim.make_ground(bodies=False, visuals=True),
-        ):
+        self._table = sim.make_table(bodies=False, visuals=True)
+        for entity in (self._table, sim.make_ground(bodies=False, visuals=True)):
             self._scene.add_entity(entity)
-        sim.add_lights(self._scene)
+        self._lights = sim.add_lights(self._scene)
         self._components = self._add_cameras()
+        self._decor: list[Any] = []
+        self._looks = Looks()
         self._shapes = sim.Shapes(task)
         self._objects: list[Any] = []
         self._movable: list[Any] = []
@@ -77,8 +78,16 @@ class Renderer:
         self._unseen = True
         self.scene: SceneSpec | None = None
 
-    def set_scene(self, scene: SceneSpec) -> None:
-        """Take the objects of a scene in place of those of the scene before."""
+    def set_scene(self, scene: SceneSpec, looks: Looks | None = None) -> None:
+        """Take the objects and the looks of a scene in place of those of the scene before.
+
+        Args:
+            scene: What stands on the table.
+            looks: What else is seen; None is the usual look. Errors of sensors are not the
+                renderer's: `sensor_errors.py` adds them.
+        """
+        if (looks or Looks()) != self._looks:
+            self._set_looks(looks or Looks(), scene.variant)
         for entity in self._objects:
             self._scene.remove_entity(entity)
         self._objects = [
@@ -93,6 +102,21 @@ class Renderer:
         self._object_index = self._number_pixels()
         self._unseen = True
         self.scene = scene
+
+    def _set_looks(self, looks: Looks, variant: str) -> None:
+        for entity in (*self._decor, *(light.entity for light in self._lights)):
+            self._scene.remove_entity(entity)
+        self._lights = sim.add_lights(self._scene, looks.lights or sim.USUAL_LIGHTS)
+        sim.paint_table(self._table, looks.table_rgb or sim.TABLE_COLOR_RGB)
+        self._decor = [sim.make_prop(prop) for prop in looks.props]
+        if looks.pad_rgb is not None:
+            self._decor += [sim.make_pad(p, looks.pad_rgb) for p in self.task.pads(variant)]
+        for entity in self._decor:
+            self._scene.add_entity(entity)
+        self.parameters = camera_parameters(looks.move_cameras(self.cameras))
+        for name, (_, T_world_camera) in self.parameters.items():
+            self._components[name].entity.set_pose(sapien_camera_pose(T_world_camera))
+        self._looks = looks
 
     def render(self, moment: Moment) -> dict[str, Frame]:
         """Draw one state of the scene with every camera.

@@ -14,8 +14,10 @@ import trimesh
 from sapien import physx
 from trimesh.graph import smooth_shade
 
-from codediffuser.datagen.scene import ObjectSpec, SceneSpec
-from codediffuser.datagen.task import Geometry, Task
+from codediffuser.datagen.appearance import DirectionalLight, Lights, Prop
+from codediffuser.datagen.props import prop_mesh
+from codediffuser.datagen.scene import ObjectSpec, SceneSpec, Vector3
+from codediffuser.datagen.task import Geometry, Pad, Task
 from codediffuser.datagen.views import Moment, MomentView
 
 SIM_HZ = 250
@@ -29,6 +31,18 @@ GROUND_Z_M = -1.0
 GROUND_COLOR_RGB = (0.28, 0.29, 0.31)
 CREASE_RAD = 0.5
 """Edges sharper than this stay sharp in pictures."""
+
+PAD_THICKNESS_M = 0.0005
+"""Of a randomised pad above the table: too little for depth, enough to be drawn."""
+
+USUAL_LIGHTS = Lights(
+    ambient_rgb=(0.45, 0.45, 0.45),
+    directional=(
+        DirectionalLight(direction=(0.3, 0.6, -1.0), color_rgb=(1.1, 1.1, 1.1)),
+        DirectionalLight(direction=(-0.6, -0.4, -0.7), color_rgb=(0.6, 0.6, 0.6)),
+    ),
+)
+"""Even light, unless an episode's appearance says otherwise."""
 
 
 class Shapes:
@@ -89,6 +103,13 @@ def make_table(*, bodies: bool, visuals: bool) -> Any:
     return entity
 
 
+def paint_table(table: Any, color_rgb: Vector3) -> None:
+    """Give the table of `make_table(visuals=True)` another colour."""
+    visual = table.find_component_by_type(sapien.render.RenderBodyComponent)
+    for shape in visual.render_shapes:
+        shape.material.base_color = [*color_rgb, 1.0]
+
+
 def make_ground(*, bodies: bool, visuals: bool) -> Any:
     """Build the floor of the room, which catches what falls off the table."""
     half_size = (4.0, 4.0, 0.05)
@@ -107,11 +128,39 @@ def make_ground(*, bodies: bool, visuals: bool) -> Any:
     return entity
 
 
-def add_lights(scene: Any) -> None:
-    """Light a scene evenly, without shadows, which would double the cost of a picture."""
-    scene.set_ambient_light([0.45, 0.45, 0.45])
-    scene.add_directional_light([0.3, 0.6, -1.0], [1.1, 1.1, 1.1])
-    scene.add_directional_light([-0.6, -0.4, -0.7], [0.6, 0.6, 0.6])
+def add_lights(scene: Any, lights: Lights = USUAL_LIGHTS) -> list[Any]:
+    """Light a scene without shadows, which would double the cost of a picture.
+
+    Returns:
+        What the scene made of each directional light.
+    """
+    scene.set_ambient_light(list(lights.ambient_rgb))
+    return [
+        scene.add_directional_light(list(light.direction), list(light.color_rgb))
+        for light in lights.directional
+    ]
+
+
+def make_prop(prop: Prop) -> Any:
+    """Build a thing that is seen and touches nothing."""
+    entity = sapien.Entity()
+    entity.name = prop.shape
+    entity.add_component(_mesh_visual(prop_mesh(prop), prop.color_rgb))
+    entity.pose = sapien.Pose(np.array(prop.position_m), np.array(prop.quat_wxyz))
+    return entity
+
+
+def make_pad(pad: Pad, color_rgb: Vector3) -> Any:
+    """Build a task's pad as a sheet that is seen and touches nothing."""
+    low, high = np.array(pad.low_m), np.array(pad.high_m)
+    half = np.array([*(high - low) / 2, PAD_THICKNESS_M])
+    entity = sapien.Entity()
+    entity.name = pad.name
+    visual = sapien.render.RenderBodyComponent()
+    visual.attach(sapien.render.RenderShapeBox(half, _material(color_rgb, 0.9)))
+    entity.add_component(visual)
+    entity.pose = sapien.Pose(np.array([*(low + high) / 2, 0.0]))
+    return entity
 
 
 def _rigid_body(obj: ObjectSpec, geometry: Geometry) -> Any:
