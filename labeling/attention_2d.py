@@ -1,0 +1,118 @@
+"""Attention on a camera's picture: labelled points projected, tested for occlusion, and widened.
+
+Policies that see pictures and no cloud take attention as a mask. The labelled points are sparse on
+the picture, so what they hit is dilated to one coherent region.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from codediffuser.datagen.cameras import project
+from codediffuser.datagen.episode_format import Camera
+from codediffuser.errors import ShapeError
+from codediffuser.labeling.attention import AttentionField, Poses
+from codediffuser.labeling.label import ROLES
+from codediffuser.pointcloud import check_points
+
+DILATION_PX = 3
+"""Radius of the disc that every visible point covers, at 160 to 320 pixels of picture width."""
+TOLERANCE_M = 0.015
+"""A reading nearer to the camera than a point by more than this hides the point."""
+
+
+def attention_mask(
+    points_world: np.ndarray,
+    camera: Camera,
+    depth_m: np.ndarray | None = None,
+    *,
+    dilation_px: int = DILATION_PX,
+    tolerance_m: float = TOLERANCE_M,
+) -> np.ndarray:
+    """Where attended points appear on one picture.
+
+    Points behind the camera or beside the picture are dropped, never moved to its edge.
+
+    Args:
+        points_world: (N, 3) float, metres; N may be 0.
+        camera: Intrinsics and pose; says the size of the picture.
+        depth_m: (H, W) float32 depth of the same camera at the same time, along the optical axis,
+            0 for no reading. None leaves the test for occlusion out; a missing reading hides
+            nothing.
+        dilation_px: Radius of the disc around each visible point; 0 marks single pixels.
+        tolerance_m: How much nearer than a point a reading may be without hiding it.
+
+    Returns:
+        mask: (H, W) bool.
+
+    Raises:
+        ShapeError: The points or the depth do not have the shape above.
+    """
+    check_points(points_world, "points_world")
+    shape = (camera.height, camera.width)
+    if depth_m is not None and depth_m.shape != shape:
+        raise ShapeError(f"depth_m: expected {shape} as the camera says, got {depth_m.shape}")
+    mask = np.zeros(shape, dtype=np.uint8)
+    uv, z = project(points_world, camera.K, camera.T_world_camera)
+    # Rounding first would pull points from up to half a pixel outside; far ones overflow integers.
+    with np.errstate(invalid="ignore"):
+        inside = (z > 0) & (uv >= -0.5).all(axis=1) & (uv < np.array(shape[::-1]) - 0.5).all(axis=1)
+    column, row = np.floor(uv[inside] + 0.5).astype(np.intp).T
+    if depth_m is not None:
+        reading = depth_m[row, column]
+        visible = (reading <= 0) | (reading >= z[inside] - tolerance_m)
+        column, row = column[visible], row[visible]
+    mask[row, column] = 1
+    return _dilate(mask, dilation_px).astype(bool)
+
+
+def role_masks(
+    field: AttentionField,
+    T_world_now: Poses,
+    camera: Camera,
+    depth_m: np.ndarray | None = None,
+    *,
+    dilation_px: int = DILATION_PX,
+    tolerance_m: float = TOLERANCE_M,
+) -> np.ndarray:
+    """One mask per role of an episode's attention at one moment, for one camera.
+
+    Args:
+        field: The episode's attention.
+        T_world_now: Poses now of the objects that `field` follows.
+        camera: Whose picture.
+        depth_m: See `attention_mask`.
+        dilation_px: See `attention_mask`.
+        tolerance_m: See `attention_mask`.
+
+    Returns:
+        masks: (2, H, W) bool in the order of `ROLES`.
+
+    Raises:
+        LabelError: A followed object has no pose now.
+        ShapeError: The depth does not fit the camera.
+    """
+    points, channels = field.carried(T_world_now)
+    return np.stack([
+        attention_mask(
+            points[channels[:, role] > 0], camera, depth_m,
+            dilation_px=dilation_px, tolerance_m=tolerance_m,
+        )
+        for role in range(len(ROLES))
+    ])  # fmt: skip
+
+
+def _dilate(mask: np.ndarray, radius_px: int) -> np.ndarray:
+    if radius_px <= 0 or not mask.any():
+        return mask
+    import cv2
+
+    return np.asarray(cv2.dilate(mask, _disc(radius_px)))
+
+
+@functools.cache
+def _disc(radius_px: int) -> np.ndarray:
+    offset = np.arange(-radius_px, radius_px + 1)
+    return (offset[:, None] ** 2 + offset**2 <= radius_px**2).astype(np.uint8)
