@@ -116,6 +116,8 @@ class Text:
     """Length that the words must not exceed; the size shrinks until they fit."""
 
 
+View = Literal["above", "front"]
+"""Where a panel is seen from; only a panel from above has the world's x and y on the page."""
 Shape = Disc | Box | Line | Polygon | Cross | Arrow | Text
 
 
@@ -140,6 +142,7 @@ class Panel:
     """Corners of the part of the world that is shown."""
     shapes: tuple[Shape, ...]
     sides: Sides = Sides()
+    view: View = "above"
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,6 +286,7 @@ def from_front(
         high_m=(high_m[0] + BORDER_M, high_m[1] + BORDER_M),
         shapes=tuple(shapes),
         sides=sides,
+        view="front",
     )
 
 
