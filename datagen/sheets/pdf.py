@@ -25,6 +25,8 @@ class Placed:
     y: float
     """Where its lower left corner comes to stand, points."""
     scale: float = 1.0
+    clip: tuple[float, float, float, float] | None = None
+    """Left, bottom, right and top of the part of the sheet that may show it, points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,11 @@ def pdf_bytes(sheets: Iterable[Sheet], title: str) -> bytes:
         canvas.setPageSize((sheet.width, sheet.height))
         for placed in sheet.contents:
             canvas.saveState()
+            if placed.clip is not None:
+                left, bottom, right, top = placed.clip
+                window = canvas.beginPath()
+                window.rect(left, bottom, right - left, top - bottom)
+                canvas.clipPath(window, stroke=0, fill=0)
             canvas.translate(placed.x, placed.y)
             canvas.scale(placed.scale, placed.scale)
             for mark in placed.page.marks:
