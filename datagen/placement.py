@@ -11,6 +11,9 @@ from codediffuser.errors import PlacementError
 
 Interval = tuple[float, float]
 
+BATCH = 32
+"""Candidates that are drawn at a time; the first batch serves nearly always."""
+
 
 @dataclass(frozen=True, slots=True)
 class KeepOut:
@@ -69,17 +72,29 @@ def sample_positions(
 
 def _try_layout(rng: np.random.Generator, count: int, area: Area) -> tuple[np.ndarray | None, bool]:
     """One layout (count, 2), or None and whether neighbours (not keep-outs) were the trouble."""
-    low, high = np.array([area.x_m[0], area.y_m[0]]), np.array([area.x_m[1], area.y_m[1]])
     placed = np.zeros((0, 2))
+    crowded = False
     for _ in range(count):
-        candidates = rng.uniform(low, high, size=(area.max_tries, 2))
-        allowed = candidates[_outside(candidates, area)]
-        gaps = np.linalg.norm(allowed[:, None] - placed[None], axis=-1)
-        fitting = allowed[np.all(gaps >= area.min_distance_m, axis=1)]
-        if len(fitting) == 0:
-            return None, len(allowed) > 0
+        for start in range(0, area.max_tries, BATCH):
+            fitting, allowed = _candidates(rng, min(BATCH, area.max_tries - start), area, placed)
+            crowded = crowded or allowed
+            if len(fitting):
+                break
+        else:
+            return None, crowded
         placed = np.concatenate([placed, fitting[:1]])
     return placed, False
+
+
+def _candidates(
+    rng: np.random.Generator, count: int, area: Area, placed: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Drawn centres that fit (N, 2), and whether some kept away from every keep-out."""
+    low, high = np.array([area.x_m[0], area.y_m[0]]), np.array([area.x_m[1], area.y_m[1]])
+    drawn = rng.uniform(low, high, size=(count, 2))
+    allowed = drawn[_outside(drawn, area)]
+    gaps = np.linalg.norm(allowed[:, None] - placed[None], axis=-1)
+    return allowed[np.all(gaps >= area.min_distance_m, axis=1)], len(allowed) > 0
 
 
 def _outside(points: np.ndarray, area: Area) -> np.ndarray:

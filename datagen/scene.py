@@ -6,20 +6,29 @@ A `SceneSpec` is plain data. Sampling, drawing and checking one needs no simulat
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
 from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from codediffuser.poses import pose_to_transform
-from codediffuser.schema import Document, Strict
+from codediffuser.schema import Document, Raw, Strict
 
 Vector3 = tuple[float, float, float]
 QuatWxyz = tuple[float, float, float, float]
+TemplateSplit = Literal["seen", "unseen"]
+"""Unseen sentences are kept out of training, to test with."""
 Pair = tuple[str, str]
 """Ids of an object and of the place that it goes to."""
 
-Split = Literal["train", "val", "held_out", "eval"]
+SCENES = "scenes"
+"""Folder of the scenes in a run."""
+
+Split = Literal["all", "train", "val", "held_out", "eval"]
+"""Part of the configuration space that a scene was drawn from, see `configuration_split.py`; `all`
+and `eval` are the whole of it."""
 
 
 class ObjectSpec(Strict):
@@ -41,6 +50,8 @@ class ObjectSpec(Strict):
     """Id of the place that it already takes; None for an object that may be picked."""
     shape: dict[str, float] = Field(default_factory=dict)
     """Sizes that the task draws the geometry from, with units in the keys."""
+    label: str | None = None
+    """What is written on it: the title of a book."""
 
     @property
     def T_world_object(self) -> np.ndarray:
@@ -83,6 +94,8 @@ class InstructionSpec(Strict):
     """Slackness kind: `no_slackness`, `battery_slackness`, ..."""
     template_id: str
     """`<task>/<kind>/<number>` in the template library."""
+    template_split: TemplateSplit = "seen"
+    """Whether training may see the sentence."""
     components: dict[str, str]
     """Placeholder to the words that fill it."""
     pairs: tuple[Pair, ...]
@@ -98,18 +111,24 @@ class SeedKey(Strict):
     attempt: int
 
 
+def _upgrade_1_to_2(raw: Raw) -> Raw:
+    """Version 1 said `train` of every scene, and had neither template splits nor labels."""
+    return {**raw, "split": "all" if raw.get("split") == "train" else raw.get("split", "all")}
+
+
 class SceneSpec(Document):
-    """One initial configuration (`schema: codediffuser.scene/1`)."""
+    """One initial configuration (`schema: codediffuser.scene/2`)."""
 
     KIND: ClassVar[str] = "scene"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
+    UPGRADES: ClassVar[dict[int, Callable[[Raw], Raw]]] = {1: _upgrade_1_to_2}
 
     task: str
     variant: str = "sim"
     scene_id: str
     """Six digits; names the files of the scene and of its episode."""
     seed: SeedKey
-    split: Split = "train"
+    split: Split = "all"
     objects: tuple[ObjectSpec, ...]
     places: tuple[PlaceSpec, ...]
     target: Target
@@ -167,3 +186,8 @@ def untaken_places(
     """Places that no object takes, in their order."""
     taken = {o.place for o in objects}
     return tuple(p for p in places if p.id not in taken)
+
+
+def scene_path(run: Path, scene_id: str) -> Path:
+    """File of a scene in its run."""
+    return run / SCENES / f"{scene_id}.yaml"

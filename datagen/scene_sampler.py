@@ -1,4 +1,4 @@
-"""Initial configurations: objects, places, a target, and an instruction that fits them.
+"""Initial configurations: a sentence first, then objects, places and a target that it allows.
 
 Needs no simulator. Each scene comes from its own address (`codediffuser.seeding`), so neither the
 number of workers nor the order nor earlier scenes change any of its bytes.
@@ -6,25 +6,167 @@ number of workers nor the order nor earlier scenes change any of its bytes.
 
 from __future__ import annotations
 
-import functools
-import multiprocessing
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
-
 import numpy as np
 
-from codediffuser.datagen.instructions.generator import check_instruction, make_instruction
-from codediffuser.datagen.instructions.templates import TemplateLibrary
-from codediffuser.datagen.reset_image import save_png
-from codediffuser.datagen.scene import Ambiguity, SceneSpec, SeedKey, Split, Target
+from codediffuser.datagen.configuration_split import configuration_split
+from codediffuser.datagen.instructions.generator import make_instruction
+from codediffuser.datagen.instructions.phrasebook import Phrasebook, Sentence
+from codediffuser.datagen.instructions.templates import TemplateLibrary, load_templates
+from codediffuser.datagen.sampling_settings import Factor, SamplingSettings
+from codediffuser.datagen.scene import (
+    Ambiguity,
+    InstructionSpec,
+    Pair,
+    SceneSpec,
+    SeedKey,
+    Split,
+    Target,
+    TemplateSplit,
+)
+from codediffuser.datagen.strata import Stratum, make_strata, stratum_of
 from codediffuser.datagen.task import Layout, Task
-from codediffuser.errors import ConfigError, InstructionError, PlacementError
-from codediffuser.files import remove_partials
+from codediffuser.errors import InstructionError, PlacementError
 from codediffuser.seeding import Stage, rng_for
 
-MAX_ATTEMPTS = 50
-"""Layouts that are drawn for one scene before it is given up; the first serves nearly always."""
+LAYOUTS_PER_SENTENCE = 25
+"""Layouts that are drawn until one fits the words; then other words are drawn."""
+SENTENCES_PER_SCENE = 40
+"""Choices of words before a scene is given up."""
+WORDS_ADDRESS = 1_000_000
+"""Attempt number of the generators that draw words; those of layouts count from 0."""
+
+
+class SceneSource:
+    """Draws scenes of one task by one set of settings.
+
+    For each scene a slackness kind is drawn evenly, one of its sentences evenly, and words for the
+    placeholders evenly. Then layouts are drawn until one fits, and the target evenly among the
+    pairs that the sentence allows there.
+
+    Args:
+        task: What to draw.
+        settings: What all scenes have in common.
+        library: Sentences; None takes those that ship.
+
+    Raises:
+        ConfigError: The settings, the library and the task do not fit together.
+    """
+
+    def __init__(
+        self, task: Task, settings: SamplingSettings, library: TemplateLibrary | None = None
+    ) -> None:
+        self.task = task
+        self.settings = settings
+        self.library = (library or load_templates(task.name)).only(settings.template_split)
+        self._phrasebook = Phrasebook(task, self.library)
+        self._strata: tuple[Stratum, ...] = ()
+        if settings.stratify:
+            self._strata = make_strata(task, self._phrasebook, settings)
+
+    def draw(self, index: int) -> SceneSpec:
+        """Draw the scene with this number, >= 0.
+
+        Raises:
+            PlacementError: Objects find no room; the message names the key to change.
+            InstructionError: No layout fits a sentence; the message names what to change.
+            ConfigError: `variant`, `picks` or `places` is not what the task offers.
+        """
+        asked = Stratum(picks=self.settings.picks, places=self.settings.places)
+        if self._strata:
+            asked = stratum_of(self._strata, self.settings, index)
+        reason = ""
+        for number in range(SENTENCES_PER_SCENE):
+            sentence = self._draw_sentence(index, number, asked)
+            for repeat in range(LAYOUTS_PER_SENTENCE):
+                attempt = number * LAYOUTS_PER_SENTENCE + repeat
+                try:
+                    return self._try(index, attempt, sentence, asked)
+                except InstructionError as error:
+                    reason = f"{sentence.text!r}: {error}"
+        raise InstructionError(self._explain(index, asked, reason))
+
+    def _draw_sentence(self, index: int, number: int, asked: Stratum) -> Sentence:
+        """One template for all tries of a scene, so that hard ones are not rarer, but new words."""
+        rng = self._rng(index, WORDS_ADDRESS)
+        if asked.template is not None:
+            template = next(t for t in self.library.templates if t.id == asked.template)
+        else:
+            template = self._phrasebook.draw_template(
+                rng, kind=asked.kind, picks=asked.picks, places=asked.places
+            )
+        return self._phrasebook.draw_words(template, self._rng(index, WORDS_ADDRESS + 1 + number))
+
+    def _try(self, index: int, attempt: int, sentence: Sentence, asked: Stratum) -> SceneSpec:
+        """One layout with a sentence, or `InstructionError` when they do not fit."""
+        rng, settings = self._rng(index, attempt), self.settings
+        try:
+            layout = self.task.sample_layout(
+                rng, variant=settings.variant, picks=asked.picks, places=asked.places
+            )
+        except PlacementError as error:
+            raise PlacementError(f"{self.task.name}, scene {index:06d}: {error}") from None
+        instruction = make_instruction(self.task, layout, sentence)
+        target = self._draw_target(layout, instruction, asked, rng)
+        return SceneSpec(
+            task=self.task.name,
+            variant=settings.variant,
+            scene_id=f"{index:06d}",
+            seed=SeedKey(
+                root=settings.root_seed, stage=settings.stage, index=index, attempt=attempt
+            ),
+            split=settings.split,
+            objects=layout.objects,
+            places=layout.places,
+            target=target,
+            ambiguity=Ambiguity(picks=len(layout.pickable), places=len(layout.free_places)),
+            instruction=instruction,
+        )
+
+    def _draw_target(
+        self, layout: Layout, instruction: InstructionSpec, asked: Stratum, rng: np.random.Generator
+    ) -> Target:
+        """One of the pairs that the sentence allows, evenly, in the split and stratum asked for."""
+        fitting = [
+            pair
+            for pair in instruction.pairs
+            if asked.target_place in (None, pair[1]) and self._in_split(layout, pair)
+        ]
+        if not fitting:
+            raise InstructionError(
+                f"none of the {len(instruction.pairs)} pairs that it allows lies in the split "
+                "and stratum asked for"
+            )
+        pick, place = fitting[rng.integers(len(fitting))]
+        return Target(pick=pick, place=place)
+
+    def _in_split(self, layout: Layout, pair: Pair) -> bool:
+        if self.settings.split in ("all", "eval"):
+            return True
+        x, y, _ = next(o.position_m for o in layout.pickable if o.id == pair[0])
+        found = configuration_split(self.task.config.splits, (x, y), pair[1])
+        return found == self.settings.split
+
+    def _rng(self, index: int, attempt: int) -> np.random.Generator:
+        settings = self.settings
+        return rng_for(settings.root_seed, Stage[settings.stage], index, attempt)
+
+    def _explain(self, index: int, asked: Stratum, reason: str) -> str:
+        tries = SENTENCES_PER_SCENE * LAYOUTS_PER_SENTENCE
+        remedies = []
+        if self.settings.split in ("train", "val", "held_out"):
+            remedies.append(
+                f"widen split {self.settings.split} by the key 'splits' of "
+                f"{self.task.config_path().name}"
+            )
+        if self._strata:
+            remedies.append(f"stratify fewer factors than {', '.join(self.settings.stratify)}")
+        if asked.picks is not None or asked.places is not None:
+            remedies.append("ask for more picks or places")
+        remedies.append(f"change the sentence in {self.library.source}")
+        return (
+            f"{self.task.name}, scene {index:06d}: none of {tries} layouts fits its sentence; "
+            f"last: {reason}; {', or '.join(remedies)}"
+        )
 
 
 def sample_scene(
@@ -33,157 +175,36 @@ def sample_scene(
     root_seed: int,
     index: int,
     stage: Stage = Stage.SCENE,
-    split: Split = "train",
+    split: Split = "all",
     variant: str = "sim",
     picks: int | None = None,
     places: int | None = None,
     library: TemplateLibrary | None = None,
+    template_split: TemplateSplit | None = None,
+    stratify: tuple[Factor, ...] = (),
 ) -> SceneSpec:
-    """Draw one scene.
+    """Draw one scene; for many, a `SceneSource` does the same faster.
 
     Args:
         task: What to draw.
         root_seed: Seed of the whole run, >= 0.
         index: Number of the scene, >= 0; also its id.
         stage: Keeps scenes for different uses apart: `Stage.SCENE` or `Stage.EVAL_SCENE`.
-        split: Name that is written into the scene.
-        variant: Which ranges of the task's YAML to draw from.
-        picks: How many objects can be picked; None draws it.
-        places: How many places are free; None draws it.
-        library: Sentences; None takes those that ship.
-
-    Raises:
-        PlacementError: Objects find no room; the message names the key to change.
-        InstructionError: No sentence fits any of `MAX_ATTEMPTS` layouts.
-        ConfigError: An argument or the library does not fit the task.
-    """
-    reason = ""
-    for attempt in range(MAX_ATTEMPTS):
-        rng = rng_for(root_seed, stage, index, attempt)
-        try:
-            layout = task.sample_layout(rng, variant=variant, picks=picks, places=places)
-        except PlacementError as error:
-            raise PlacementError(f"{task.name}, scene {index:06d}: {error}") from None
-        target = _draw_target(layout, rng)
-        try:
-            instruction = make_instruction(task, layout, target, rng, library)
-        except InstructionError as error:
-            reason = str(error)
-            continue
-        scene = SceneSpec(
-            task=task.name,
-            variant=variant,
-            scene_id=f"{index:06d}",
-            seed=SeedKey(root=root_seed, stage=stage.name, index=index, attempt=attempt),
-            split=split,
-            objects=layout.objects,
-            places=layout.places,
-            target=target,
-            ambiguity=Ambiguity(picks=len(layout.pickable), places=len(layout.free_places)),
-            instruction=instruction,
-        )
-        check_instruction(scene, task)
-        return scene
-    raise InstructionError(
-        f"{task.name}, scene {index:06d}: no instruction in {MAX_ATTEMPTS} layouts; last: {reason}"
-    )
-
-
-def _draw_target(layout: Layout, rng: np.random.Generator) -> Target:
-    """One waiting object and one free place, evenly."""
-    pick = layout.pickable[rng.integers(len(layout.pickable))]
-    place = layout.free_places[rng.integers(len(layout.free_places))]
-    return Target(pick=pick.id, place=place.id)
-
-
-def sample_scenes(
-    task: Task,
-    out: Path,
-    count: int,
-    root_seed: int,
-    *,
-    stage: Stage = Stage.SCENE,
-    split: Split = "train",
-    variant: str = "sim",
-    picks: int | None = None,
-    places: int | None = None,
-    library: TemplateLibrary | None = None,
-    workers: int = 1,
-    overwrite: bool = False,
-) -> Iterator[Path]:
-    """Write `out/000000.yaml`, `out/000000.png`, ... and yield each YAML's path once it is there.
-
-    Files are written whole or not at all. Scenes that are already there are kept, so running again
-    goes on where an earlier run was stopped; `overwrite` draws them anew.
-
-    Args:
-        task: What to draw.
-        out: Folder; made when missing.
-        count: How many scenes.
-        root_seed: Seed of the whole run, >= 0.
-        stage: As for `sample_scene`, like the arguments up to `library`.
-        split: See there.
+        split: As in `SamplingSettings`, like all that follow but `library`.
         variant: See there.
         picks: See there.
         places: See there.
-        library: See there.
-        workers: Processes; changes nothing but the time.
-        overwrite: Draw scenes anew that are already there.
+        library: Sentences; None takes those that ship.
+        template_split: See there.
+        stratify: See there.
 
     Raises:
-        ConfigError: The folder holds scenes of another task, seed or variant.
-        PlacementError: As for `sample_scene`.
-        InstructionError: As for `sample_scene`.
+        PlacementError: As for `SceneSource.draw`.
+        InstructionError: As for `SceneSource.draw`.
+        ConfigError: An argument or the library does not fit the task.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    remove_partials(out)
-    draw = functools.partial(
-        sample_scene, task, root_seed=root_seed, stage=stage, split=split, variant=variant,
-        picks=picks, places=places, library=library,
+    settings = SamplingSettings(
+        root_seed=root_seed, stage=stage.name, variant=variant, split=split,
+        template_split=template_split, picks=picks, places=places, stratify=stratify,
     )  # fmt: skip
-    write = functools.partial(_write_scene, draw, task, out, overwrite)
-    if workers <= 1:
-        yield from map(write, range(count))
-        return
-    # Forked children could inherit locks of threads (OpenMP, torch) in the middle of something.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        yield from pool.map(write, range(count), chunksize=max(1, min(16, count // workers)))
-
-
-def _write_scene(
-    draw: functools.partial[SceneSpec], task: Task, out: Path, overwrite: bool, index: int
-) -> Path:
-    """Write one scene and its picture unless both are there; return the YAML's path."""
-    path, picture = out / f"{index:06d}.yaml", out / f"{index:06d}.png"
-    if path.exists() and not overwrite:
-        scene = SceneSpec.load(path)
-        _check_same_run(scene, draw, path)
-    else:
-        # The picture goes first and comes back last: one that is there belongs to its YAML.
-        picture.unlink(missing_ok=True)
-        scene = draw(index=index)
-        scene.save(path)
-    if not picture.exists():
-        save_png(task.draw_reset(scene), picture)
-    return path
-
-
-def _check_same_run(scene: SceneSpec, draw: functools.partial[SceneSpec], path: Path) -> None:
-    """Refuse to mix scenes that were drawn by other settings into a run."""
-    asked = draw.keywords
-    settings = {
-        "task": (draw.args[0].name, scene.task),
-        "seed": (asked["root_seed"], scene.seed.root),
-        "stage": (asked["stage"].name, scene.seed.stage),
-        "variant": (asked["variant"], scene.variant),
-        "split": (asked["split"], scene.split),
-        "picks": (asked["picks"], scene.ambiguity.picks),
-        "places": (asked["places"], scene.ambiguity.places),
-    }
-    for key, (expected, found) in settings.items():
-        if expected is not None and expected != found:
-            raise ConfigError(
-                f"{path}: holds a scene with {key} {found}, expected {expected}; choose another "
-                "--out, or --overwrite"
-            )
+    return SceneSource(task, settings, library).draw(index)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, Self, TypeVar
 import numpy as np
 from pydantic import model_validator
 
+from codediffuser.datagen.configuration_split import SplitConfig
 from codediffuser.datagen.scene import (
     ObjectSpec,
     Pair,
@@ -121,6 +122,7 @@ class TaskConfig(Document):
     robot: RobotConfig
     workspace: Workspace
     observer: Observer = Observer()
+    splits: SplitConfig = SplitConfig()
     labeling: LabelingConfig = LabelingConfig()
 
 
@@ -170,6 +172,19 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True)
+class Decal:
+    """A picture on a body, which is only seen: the title on the spine of a book."""
+
+    mesh: trimesh.Trimesh
+    """Where it lies, in the body's frame, a little outside of the surface; metres."""
+    uv: np.ndarray
+    """(V, 2) float32, a point of the picture for each vertex: (0, 0) its upper left corner, (1, 1)
+    its lower right one."""
+    image_rgb: np.ndarray
+    """(H, W, 3) uint8, sRGB."""
+
+
+@dataclass(frozen=True, slots=True)
 class Geometry:
     """A body in its own frame: what is seen, and the convex parts that collide."""
 
@@ -181,6 +196,9 @@ class Geometry:
     static_friction: float = 0.3
     dynamic_friction: float = 0.3
     restitution: float = 0.1
+    decals: tuple[Decal, ...] = ()
+    angular_damping_per_s: float = 0.05
+    """Share of a body's spin that is lost per second, beyond friction; the default is PhysX's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,6 +281,9 @@ class Task(ABC, Generic[C]):
     """Category of the objects that are picked; also the placeholder in templates."""
     place_category: ClassVar[str]
     """Category of the places; also the placeholder in templates."""
+    push_phases: ClassVar[tuple[str, ...]] = ("approach", "transport")
+    """Phases of the script in which the hand has air all around, so that recovery demonstrations
+    may push it."""
 
     def __init__(self, config: C | None = None) -> None:
         self.config: C = config if config is not None else self.load_config()
@@ -307,8 +328,9 @@ class Task(ABC, Generic[C]):
     def geometry(self, obj: ObjectSpec) -> Geometry:
         """The body of one object of a scene, in its own frame.
 
-        It may depend on the object's category, shape, fixedness and on whether it takes a place;
-        objects that agree in these share one geometry.
+        It may depend on the object's category, shape, fixedness, label and on whether it takes a
+        place; objects that agree in these share one geometry. With a label it may also depend on
+        the colour.
         """
 
     @abstractmethod

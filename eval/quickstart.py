@@ -78,25 +78,25 @@ def run_quickstart(out: Path, options: QuickstartOptions | None = None) -> Itera
 
 
 def _sample(out: Path, options: QuickstartOptions) -> Iterator[StageProgress]:
-    from codediffuser.datagen.scene_sampler import sample_scenes
+    from codediffuser.datagen.sampling_settings import SamplingSettings
+    from codediffuser.datagen.scene_files import sample_scenes
+    from codediffuser.datagen.scene_sampler import SceneSource
     from codediffuser.datagen.task import get_task
 
-    paths = sample_scenes(
-        get_task(options.task), out / "scenes", options.num_demos, options.seed,
-        workers=options.workers,
-    )  # fmt: skip
+    source = SceneSource(get_task(options.task), SamplingSettings(root_seed=options.seed))
+    paths = sample_scenes(source, out / "scenes", options.num_demos, workers=options.workers)
     for done, path in enumerate(paths, start=1):
         yield StageProgress("sample", done, options.num_demos, path.stem)
 
 
 def _demo(out: Path, options: QuickstartOptions) -> Iterator[StageProgress]:
-    from codediffuser.datagen.collect import collect_demos, scene_ids
-    from codediffuser.datagen.record import PictureOptions
+    from codediffuser.datagen.collect import CollectOptions, collect_demos, scene_ids
+    from codediffuser.datagen.pictures import PictureOptions
 
     width, height = IMAGE_SIZE
     pictures = PictureOptions(width=width, height=height)
     total = len(scene_ids(out))
-    results = collect_demos(out, workers=options.workers, options=pictures)
+    results = collect_demos(out, CollectOptions(pictures=pictures), workers=options.workers)
     for done, result in enumerate(results, start=1):
         yield StageProgress("demo", done, total, f"{result.scene_id} {result.reason}".strip())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -32,6 +33,16 @@ class Sample(Verb):
     """Exactly this many objects to choose from; drawn when left out."""
     places: int | None = None
     """Exactly this many free places; drawn when left out."""
+    split: Literal["all", "train", "val", "held_out"] = "all"
+    """Part of the configuration space, by the key `splits` of the task's YAML."""
+    templates: Path | None = None
+    """Your own sentences (docs/instructions.md); those that ship when left out."""
+    template_split: Literal["all", "seen", "unseen"] = "all"
+    """Which sentences: unseen ones are marked in the file, to be kept out of training."""
+    stratify: tuple[str, ...] = ()
+    """Spread these evenly: kind, template, picks, places, target_place, alone or together."""
+    pictures: bool = True
+    """Draw the pictures to reset by."""
     workers: int = 1
     """Processes."""
     overwrite: bool = False
@@ -39,7 +50,10 @@ class Sample(Verb):
 
     def run(self) -> Path:
         """Sample and return the folder."""
-        from codediffuser.datagen.scene_sampler import sample_scenes
+        from codediffuser.datagen.instructions.templates import load_templates
+        from codediffuser.datagen.sampling_settings import SamplingSettings, parse_factors
+        from codediffuser.datagen.scene_files import sample_scenes
+        from codediffuser.datagen.scene_sampler import SceneSource
         from codediffuser.datagen.task import get_task
 
         if self.num_episodes < 1 or self.seed < 0:
@@ -47,10 +61,16 @@ class Sample(Verb):
                 "expected --num-episodes of at least 1 and --seed of at least 0, "
                 f"got {self.num_episodes} and {self.seed}"
             )
+        task = get_task(self.task)
+        library = load_templates(task.name, self.templates) if self.templates else None
+        settings = SamplingSettings(
+            root_seed=self.seed, variant=self.variant, split=self.split,
+            template_split=None if self.template_split == "all" else self.template_split,
+            picks=self.picks, places=self.places, stratify=parse_factors(self.stratify),
+        )  # fmt: skip
         scenes = sample_scenes(
-            get_task(self.task), self.out, self.num_episodes, self.seed,
-            variant=self.variant, picks=self.picks, places=self.places,
-            workers=self.workers, overwrite=self.overwrite,
+            SceneSource(task, settings, library), self.out, self.num_episodes,
+            pictures=self.pictures, workers=self.workers, overwrite=self.overwrite,
         )  # fmt: skip
         for _ in track(scenes, "sample", self.num_episodes):
             pass

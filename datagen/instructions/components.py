@@ -21,6 +21,10 @@ class Arrangement(Protocol):
     """What phrases look at: a `SceneSpec`, or the `Layout` that becomes one."""
 
     @property
+    def objects(self) -> tuple[ObjectSpec, ...]:
+        """All objects, those that stay where they are too."""
+
+    @property
     def places(self) -> tuple[PlaceSpec, ...]:
         """All places, taken or free."""
 

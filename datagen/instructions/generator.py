@@ -1,102 +1,39 @@
-"""Words for a scene: choose a sentence that includes the target, and check one by rule.
+"""Say a drawn sentence of a scene, and check by rule what a scene stores of its instruction.
 
 What sentences mean is defined in `reading.py`; both directions go through it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import product
-
-import numpy as np
-
 from codediffuser.datagen.instructions.components import Arrangement
-from codediffuser.datagen.instructions.reading import Reading, allowed_pairs
-from codediffuser.datagen.instructions.templates import (
-    OTHER,
-    Template,
-    TemplateLibrary,
-    load_templates,
-)
-from codediffuser.datagen.scene import InstructionSpec, Pair, SceneSpec, Target
+from codediffuser.datagen.instructions.phrasebook import Sentence, expand_phrases
+from codediffuser.datagen.instructions.reading import allowed_pairs
+from codediffuser.datagen.instructions.templates import TemplateLibrary
+from codediffuser.datagen.scene import InstructionSpec, SceneSpec
 from codediffuser.datagen.task import Task, get_task
-from codediffuser.errors import ConfigError, InstructionError
-from codediffuser.registry import unknown_name
-
-Filling = tuple[dict[str, str], tuple[Pair, ...]]
-"""Placeholder to words, and all pairs that they allow."""
+from codediffuser.errors import InstructionError
 
 
-def make_instruction(
-    task: Task,
-    scene: Arrangement,
-    target: Target,
-    rng: np.random.Generator,
-    library: TemplateLibrary | None = None,
-) -> InstructionSpec:
-    """Draw an instruction that allows the target.
-
-    The slackness kind is drawn evenly among those that can be said of this scene and target, then
-    the template among those of the kind, then the words among those that fit.
+def make_instruction(task: Task, scene: Arrangement, sentence: Sentence) -> InstructionSpec:
+    """Say a sentence of a scene.
 
     Raises:
-        InstructionError: No template of the library can be said of this scene and target.
-        ConfigError: The library has phrases that the task does not know.
+        InstructionError: The sentence does not fit the scene: its words name nothing, not clearly,
+            or what is "other" is also what is meant.
     """
-    library = library or load_templates(task.name)
-    check_library(task, library)
-    reading = Reading(task, scene)
-    possible: dict[str, list[tuple[Template, list[Filling]]]] = {}
-    for template in library.templates:
-        fillings = list(_fillings(reading, target, template, library))
-        if fillings:
-            possible.setdefault(template.kind, []).append((template, fillings))
-    if not possible:
-        raise InstructionError(
-            f"no template of {library.source} for {library.task} can be said of target "
-            f"({target.pick}, {target.place}); add a sentence of kind both_slackness"
-        )
-    kind = list(possible)[rng.integers(len(possible))]
-    template, fillings = possible[kind][rng.integers(len(possible[kind]))]
-    words, pairs = fillings[rng.integers(len(fillings))]
     return InstructionSpec(
-        text=template.fill(words),
-        kind=kind,
-        template_id=template.id,
-        components=words,
-        pairs=pairs,
+        text=sentence.text,
+        kind=sentence.template.kind,
+        template_id=sentence.template.id,
+        template_split=sentence.template.split,
+        components=dict(sentence.words),
+        pairs=allowed_pairs(task, scene, sentence.words),
     )
-
-
-def _fillings(
-    reading: Reading, target: Target, template: Template, library: TemplateLibrary
-) -> Iterator[Filling]:
-    """Words for a template's placeholders that make it true of the target, with all their pairs."""
-    choices = [library.phrases[p.removeprefix(OTHER)] for p in template.placeholders]
-    for chosen in product(*choices):
-        words = dict(zip(template.placeholders, chosen, strict=True))
-        try:
-            pairs = reading.pairs(words)
-        except InstructionError:
-            continue  # These words do not fit this scene; others may.
-        if (target.pick, target.place) in pairs:
-            yield words, pairs
 
 
 def check_library(task: Task, library: TemplateLibrary) -> None:
     """Raise `ConfigError` unless the task knows every phrase of the library, under its category."""
-    known: dict[str, list[str]] = {task.pick_category: [], task.place_category: []}
-    for phrase in task.components().values():
-        known[phrase.category].append(phrase.words)
-    for category, phrases in library.phrases.items():
-        where = f"{library.source}: key 'tasks.{library.task}.components"
-        if category not in known:
-            raise ConfigError(f"{where}': {unknown_name('category', category, list(known))}")
-        for words in phrases:
-            if words not in known[category]:
-                raise ConfigError(
-                    f"{where}.{category}': {unknown_name('phrase', words, known[category])}"
-                )
+    expand_phrases(task, library)
 
 
 def check_instruction(scene: SceneSpec, task: Task | None = None) -> None:
@@ -113,7 +50,7 @@ def check_instruction(scene: SceneSpec, task: Task | None = None) -> None:
     task = task or get_task(scene.task)
     said, where = scene.instruction, f"scene {scene.scene_id}"
     for words in said.components.values():
-        if words not in said.text:
+        if words.lower() not in said.text.lower():
             raise InstructionError(f"{where}: '{words}' is not in the sentence {said.text!r}")
     try:
         pairs = allowed_pairs(task, scene, said.components)

@@ -2,7 +2,8 @@
 
 The law: an instruction allows exactly the pairs {(object, place)} where the object is among those
 that its words name (any waiting one when they name none) and the place among those that its words
-name for that object (any free one when they name none).
+name for that object (any free one when they name none). Phrases of the task's pick category name
+objects; phrases of every other category name places.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from codediffuser.datagen.task import Task
 from codediffuser.errors import InstructionError
 from codediffuser.registry import unknown_name
 
+NO_IDS: frozenset[str] = frozenset()
+
 
 def allowed_pairs(task: Task, scene: Arrangement, words: Mapping[str, str]) -> tuple[Pair, ...]:
     """Every (object, place) that an instruction allows, sorted; see `Reading.pairs`."""
@@ -23,15 +26,15 @@ def allowed_pairs(task: Task, scene: Arrangement, words: Mapping[str, str]) -> t
 
 
 class Reading:
-    """One scene, to be asked about many instructions: what each phrase names is found once.
+    """One scene, to be asked about instructions: what each phrase names is found once.
 
     Args:
-        task: Gives the phrases and the two categories.
+        task: Gives the phrases and the category of what is picked.
         scene: What is spoken about.
     """
 
     def __init__(self, task: Task, scene: Arrangement) -> None:
-        self._pick, self._place = task.pick_category, task.place_category
+        self._pick = task.pick_category
         self._phrases: Mapping[str, Component] = task.components()
         self._scene = scene
         self._waiting = tuple(o.id for o in scene.pickable)
@@ -57,29 +60,36 @@ class Reading:
 
     def _picks(self, words: Mapping[str, str]) -> tuple[str, ...]:
         """Objects that are meant. Naming only the other one means all the rest of them."""
-        meant = self._named(self._pick, words.get(self._pick), None)
-        others = self._named(self._pick, words.get(OTHER + self._pick), None)
-        if meant is not None and others is not None:
-            self._check_apart(words, self._pick, meant, others)
-        if meant is not None:
-            return meant
-        return tuple(i for i in self._waiting if i not in (others or ()))
-
-    def _places(self, words: Mapping[str, str], object_id: str) -> tuple[str, ...]:
-        """Places that are meant for one object."""
-        meant = self._named(self._place, words.get(self._place), object_id)
-        others = self._named(self._place, words.get(OTHER + self._place), object_id)
-        meant = self._free if meant is None else meant
-        if others is not None:
-            self._check_apart(words, self._place, meant, others)
+        said = words.get(self._pick)
+        others = self._others(self._pick, words, None)
+        if said is None:
+            return tuple(i for i in self._waiting if i not in others)
+        meant = self._named(self._pick, said, None)
+        self._check_apart(words, self._pick, meant, others)
         return meant
 
-    def _named(
-        self, category: str, words: str | None, pick_id: str | None
-    ) -> tuple[str, ...] | None:
-        """Ids that words name; None when nothing is said; an error when they name nothing."""
-        if words is None:
-            return None
+    def _places(self, words: Mapping[str, str], object_id: str) -> tuple[str, ...]:
+        """Places that are meant for one object: those that every place phrase names."""
+        meant = self._free
+        for category in dict.fromkeys(p.removeprefix(OTHER) for p in words):
+            if category == self._pick:
+                continue
+            if category in words:
+                named = self._named(category, words[category], object_id)
+                meant = tuple(i for i in meant if i in named)
+            others = self._others(category, words, object_id)
+            self._check_apart(words, category, meant, others)
+        return meant
+
+    def _others(
+        self, category: str, words: Mapping[str, str], pick_id: str | None
+    ) -> frozenset[str]:
+        """Ids that are mentioned in a category, but not meant."""
+        said = words.get(OTHER + category)
+        return NO_IDS if said is None else frozenset(self._named(category, said, pick_id))
+
+    def _named(self, category: str, words: str, pick_id: str | None) -> tuple[str, ...]:
+        """Ids that words name; an error when they name nothing."""
         key = (words, pick_id)
         if key not in self._known:
             self._known[key] = self._phrase(category, words).extract(self._scene, pick_id)
@@ -98,10 +108,10 @@ class Reading:
 
     def _check_apart(
         self, words: Mapping[str, str], category: str, meant: tuple[str, ...],
-        others: tuple[str, ...],
+        others: frozenset[str],
     ) -> None:  # fmt: skip
-        if both := sorted(set(meant) & set(others)):
+        if both := sorted(others.intersection(meant)):
             raise InstructionError(
-                f"'{words[OTHER + category]}' is the other {category}, yet '{words[category]}' "
-                f"means {', '.join(both)} too"
+                f"'{words[OTHER + category]}' is the other {category}, yet "
+                f"'{words.get(category, f'a {category}')}' means {', '.join(both)} too"
             )

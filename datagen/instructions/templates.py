@@ -4,35 +4,23 @@ from __future__ import annotations
 
 import functools
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
 
+from codediffuser.datagen.instructions.template_file import (
+    LIBRARY_PATH,
+    KindSpec,
+    TaskSentences,
+    TemplateFile,
+    UnseenSentence,
+)
+from codediffuser.datagen.scene import TemplateSplit
 from codediffuser.errors import ConfigError
 from codediffuser.registry import unknown_name
-from codediffuser.schema import Document, Strict
 
-LIBRARY_PATH = Path(__file__).parent / "instruction_templates.yaml"
 OTHER = "other_"
 """Prefix of placeholders for what is mentioned but not meant."""
-
-
-class TaskSentences(Strict):
-    """Phrases and sentences of one task, as in the YAML."""
-
-    components: dict[str, tuple[str, ...]]
-    """Category (that is, placeholder) to the phrases that may fill it: picks first, then places."""
-    templates: dict[str, tuple[str, ...]]
-    """Slackness kind to its sentences."""
-
-
-class TemplateFile(Document):
-    """A file of templates (`schema: codediffuser.instruction_templates/1`)."""
-
-    KIND: ClassVar[str] = "instruction_templates"
-    VERSION: ClassVar[int] = 1
-
-    tasks: dict[str, TaskSentences]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +33,17 @@ class Template:
     text: str
     placeholders: tuple[str, ...]
     """Each once, in the order of the sentence."""
+    split: TemplateSplit = "seen"
 
-    def fill(self, words: dict[str, str]) -> str:
-        """Put words in the place of every placeholder."""
-        return re.sub(r"\{(\w+)\}", lambda match: words[match[1]], self.text)
+    def fill(self, words: Mapping[str, str]) -> str:
+        """Put words in the place of placeholders; those that begin a sentence are capitalised."""
+
+        def put(match: re.Match[str]) -> str:
+            chosen = words[match[2]]
+            begins = match.start() == 0 or match[1]
+            return match[1] + (chosen[0].upper() + chosen[1:] if begins else chosen)
+
+        return re.sub(r"((?:[.!?] )?)\{(\w+)\}", put, self.text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +53,30 @@ class TemplateLibrary:
     task: str
     source: Path
     """The file it came from, for messages."""
-    phrases: dict[str, tuple[str, ...]]
-    """Category to the phrases that may fill its placeholder."""
+    phrases: Mapping[str, tuple[str, ...]]
+    """Category to the phrases that may fill its placeholder, `*` standing for any words."""
     templates: tuple[Template, ...]
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Slackness kinds in the order of the file."""
         return tuple(dict.fromkeys(template.kind for template in self.templates))
+
+    def only(self, split: TemplateSplit | None) -> TemplateLibrary:
+        """The library with the sentences of one split; None keeps all.
+
+        Raises:
+            ConfigError: No sentence is left.
+        """
+        if split is None:
+            return self
+        kept = tuple(template for template in self.templates if template.split == split)
+        if not kept:
+            raise ConfigError(
+                f"{self.source}: key 'tasks.{self.task}.templates': no sentence is {split}; "
+                "write some as '- unseen: \"...\"' and the others plainly"
+            )
+        return replace(self, templates=kept)
 
 
 @functools.cache
@@ -81,46 +92,65 @@ def load_templates(task: str, path: Path = LIBRARY_PATH) -> TemplateLibrary:
         raise ConfigError(f"{path}: {unknown_name('task', task, sorted(file.tasks))}")
     sentences = file.tasks[task]
     where = f"{path}: key 'tasks.{task}"
-    if len(sentences.components) != 2 or not all(sentences.components.values()):
-        raise ConfigError(
-            f"{where}.components': expected two categories, what is picked and where it goes, each "
-            f"with phrases; got {', '.join(sentences.components) or 'none'}"
-        )
-    named = _categories_by_kind(tuple(sentences.components))
+    kinds = _kinds(sentences, where)
     templates = []
-    for kind, texts in sentences.templates.items():
-        if kind not in named:
-            raise ConfigError(f"{where}.templates': {unknown_name('kind', kind, list(named))}")
-        for number, text in enumerate(texts):
-            placeholders = _placeholders(text, named, kind, f"{where}.templates.{kind}.{number}'")
-            templates.append(Template(f"{task}/{kind}/{number}", kind, text, placeholders))
+    for kind, entries in sentences.templates.items():
+        if kind not in kinds:
+            raise ConfigError(f"{where}.templates': {unknown_name('kind', kind, list(kinds))}")
+        for number, entry in enumerate(entries):
+            text = entry.unseen if isinstance(entry, UnseenSentence) else entry
+            placeholders = _placeholders(
+                text, kind, kinds[kind], tuple(sentences.components),
+                f"{where}.templates.{kind}.{number}'",
+            )  # fmt: skip
+            split: TemplateSplit = "unseen" if isinstance(entry, UnseenSentence) else "seen"
+            templates.append(Template(f"{task}/{kind}/{number}", kind, text, placeholders, split))
     if not templates:
         raise ConfigError(f"{where}.templates': expected at least one sentence, got none")
-    return TemplateLibrary(task, path, dict(sentences.components), tuple(templates))
+    return TemplateLibrary(task, path, sentences.components, tuple(templates))
 
 
-def _categories_by_kind(categories: tuple[str, ...]) -> dict[str, frozenset[str]]:
-    """Slackness kind to the categories that its sentences must name."""
-    named = {"no_slackness": frozenset(categories), "both_slackness": frozenset[str]()}
-    for category in categories:
-        named[f"{category}_slackness"] = frozenset(categories) - {category}
-    return named
+def _kinds(sentences: TaskSentences, where: str) -> Mapping[str, KindSpec]:
+    """The kinds that a file declares, checked, or the paper's four for two categories."""
+    categories = tuple(sentences.components)
+    if sentences.kinds is None:
+        if len(categories) != 2 or not all(sentences.components.values()):
+            raise ConfigError(
+                f"{where}.components': expected two categories, what is picked and where it goes, "
+                f"each with phrases; got {', '.join(categories) or 'none'} (for others, say under "
+                "'kinds' what each kind names)"
+            )
+        pick, place = categories
+        return {
+            "no_slackness": KindSpec(names=(pick, place)),
+            f"{pick}_slackness": KindSpec(names=(place,)),
+            f"{place}_slackness": KindSpec(names=(pick,)),
+            "both_slackness": KindSpec(),
+        }
+    for kind, spec in sentences.kinds.items():
+        for category in (*spec.names, *spec.may_name):
+            if category not in categories:
+                raise ConfigError(
+                    f"{where}.kinds.{kind}': {unknown_name('category', category, list(categories))}"
+                )
+    return sentences.kinds
 
 
 def _placeholders(
-    text: str, named: dict[str, frozenset[str]], kind: str, where: str
+    text: str, kind: str, spec: KindSpec, categories: tuple[str, ...], where: str
 ) -> tuple[str, ...]:
     """Placeholders of a sentence, checked: known ones, and those that its kind calls for."""
     found = tuple(dict.fromkeys(re.findall(r"\{([^{}]*)\}", text)))
     if "{" in re.sub(r"\{[^{}]*\}", "", text) or "}" in re.sub(r"\{[^{}]*\}", "", text):
         raise ConfigError(f"{where}: a brace is not closed or not opened in {text!r}")
-    known = [prefix + c for c in sorted(named["no_slackness"]) for prefix in ("", OTHER)]
+    known = [prefix + c for c in sorted(categories) for prefix in ("", OTHER)]
     for placeholder in found:
         if placeholder not in known:
             raise ConfigError(f"{where}: {unknown_name('placeholder', placeholder, known)}")
-    categories = {placeholder.removeprefix(OTHER) for placeholder in found}
-    if categories != named[kind]:
-        wanted = " and ".join(f"{{{c}}}" for c in sorted(named[kind])) or "no placeholder"
+    named = {placeholder.removeprefix(OTHER) for placeholder in found}
+    if not set(spec.names) <= named <= {*spec.names, *spec.may_name}:
+        wanted = " and ".join(f"{{{c}}}" for c in sorted(spec.names)) or "no placeholder"
+        optional = "".join(f", and may name {{{c}}}" for c in sorted(spec.may_name))
         got = ", ".join(f"{{{p}}}" for p in found) or "none"
-        raise ConfigError(f"{where}: a sentence of kind {kind} names {wanted}, got {got}")
+        raise ConfigError(f"{where}: a sentence of kind {kind} names {wanted}{optional}, got {got}")
     return found

@@ -1,10 +1,10 @@
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from codediffuser.datagen.instructions.generator import check_instruction, make_instruction
+from codediffuser.datagen.instructions.phrasebook import Sentence
 from codediffuser.datagen.instructions.reading import allowed_pairs
 from codediffuser.datagen.instructions.templates import load_templates
 from codediffuser.datagen.scene import Pair, SceneSpec, Target
@@ -134,26 +134,19 @@ def test_unknown_words_are_refused_with_a_hint(
         allowed_pairs(pack_battery, make_layout([(0, 0)]), {"battery": "left-mots battery"})
 
 
-def test_no_sentence_for_a_target_names_the_library(
-    pack_battery: PackBattery, make_layout: Make, tmp_path: Path
+def test_a_sentence_is_said_of_a_scene_or_refused(
+    pack_battery: PackBattery, make_layout: Make
 ) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text(
-        "schema: codediffuser.instruction_templates/1\ntasks:\n  pack_battery:\n"
-        "    components: {battery: [left-most battery], slot: [nearest slot]}\n"
-        "    templates: {slot_slackness: ['Put the {battery} away.']}\n"
-    )
-    scene = make_layout([(-0.08, 0.0), (0.06, 0.0)])
-    library = load_templates("pack_battery", path)
-    rng = np.random.default_rng(0)
-    said = make_instruction(
-        pack_battery, scene, Target(pick="battery_0", place="slot_03"), rng, library
-    )
-    assert said.text == "Put the left-most battery away."
-    with pytest.raises(InstructionError, match=r"mine\.yaml .* add a sentence of kind"):
-        make_instruction(
-            pack_battery, scene, Target(pick="battery_1", place="slot_03"), rng, library
-        )
+    library = load_templates("pack_battery")
+    template = next(t for t in library.templates if t.id == "pack_battery/slot_slackness/0")
+    sentence = Sentence(template, {"battery": "left-most battery"})
+    said = make_instruction(pack_battery, make_layout([(-0.08, 0.0), (0.06, 0.0)]), sentence)
+    assert said.text == "Pick the left-most battery outside the crate into a slot."
+    assert said.pairs == tuple(("battery_0", f"slot_{i:02d}") for i in range(12))
+    assert (said.template_id, said.template_split) == (template.id, "seen")
+    tied = make_layout([(-0.05, 0.0), (-0.05, -0.09)])
+    with pytest.raises(InstructionError, match="'left-most battery' fits nothing in the scene"):
+        make_instruction(pack_battery, tied, sentence)
 
 
 def changed(scene: SceneSpec, **update: object) -> SceneSpec:

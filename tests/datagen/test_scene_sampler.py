@@ -1,14 +1,14 @@
-import os
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from codediffuser.datagen.configuration_split import configuration_split
 from codediffuser.datagen.instructions.templates import load_templates
-from codediffuser.datagen.reset_image import render_png
-from codediffuser.datagen.scene import SceneSpec
-from codediffuser.datagen.scene_sampler import sample_scene, sample_scenes
+from codediffuser.datagen.sampling_settings import SamplingSettings, parse_factors
+from codediffuser.datagen.scene import SceneSpec, SeedKey, TemplateSplit
+from codediffuser.datagen.scene_sampler import SceneSource, sample_scene
 from codediffuser.datagen.task import get_task
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.errors import (
@@ -19,10 +19,6 @@ from codediffuser.errors import (
 )
 from codediffuser.schema import dump_yaml
 from codediffuser.seeding import Stage
-
-
-def folder_bytes(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
 def changed_task(variant: dict[str, object]) -> PackBattery:
@@ -54,49 +50,10 @@ def test_a_scene_records_its_address_and_survives_its_file(
 ) -> None:
     scene = sample_scene(pack_battery, root_seed=3, index=42, stage=Stage.EVAL_SCENE, split="eval")
     assert scene.scene_id == "000042"
-    assert scene.seed.model_dump() == {"root": 3, "stage": "EVAL_SCENE", "index": 42, "attempt": 0}
+    attempt = scene.seed.attempt
+    assert scene.seed == SeedKey(root=3, stage="EVAL_SCENE", index=42, attempt=attempt)
     scene.save(tmp_path / "scene.yaml")
     assert SceneSpec.load(tmp_path / "scene.yaml") == scene
-
-
-def test_workers_and_order_change_no_byte(pack_battery: PackBattery, tmp_path: Path) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
-    paths = list(sample_scenes(pack_battery, one, 6, 11))
-    assert paths == [one / f"{i:06d}.yaml" for i in range(6)]
-    sample_some = sample_scene(pack_battery, root_seed=11, index=4)  # Out of order, in no folder.
-    list(sample_scenes(pack_battery, two, 6, 11, workers=2))
-    assert folder_bytes(one) == folder_bytes(two)
-    assert len(folder_bytes(one)) == 12
-    assert SceneSpec.load(one / "000004.yaml") == sample_some
-
-
-def test_running_again_draws_only_what_is_missing(
-    pack_battery: PackBattery, tmp_path: Path
-) -> None:
-    list(sample_scenes(pack_battery, tmp_path, 3, 11))
-    whole = folder_bytes(tmp_path)
-    (tmp_path / "000001.png").unlink()
-    (tmp_path / "000002.yaml").unlink()
-    (tmp_path / ".partial-999999999-000002.yaml").write_text("killed here")
-    kept = os.stat(tmp_path / "000000.png").st_mtime_ns
-    list(sample_scenes(pack_battery, tmp_path, 3, 11))
-    assert folder_bytes(tmp_path) == whole
-    assert os.stat(tmp_path / "000000.png").st_mtime_ns == kept
-
-
-def test_scenes_of_another_seed_are_not_mixed_in_unless_overwritten(
-    pack_battery: PackBattery, tmp_path: Path
-) -> None:
-    list(sample_scenes(pack_battery, tmp_path, 1, 11))
-    with pytest.raises(
-        ConfigError, match=r"holds a scene with seed 11, expected 12; .*--overwrite"
-    ):
-        list(sample_scenes(pack_battery, tmp_path, 1, 12))
-    list(sample_scenes(pack_battery, tmp_path, 1, 12, overwrite=True))
-    scene = SceneSpec.load(tmp_path / "000000.yaml")
-    assert scene.seed.root == 12
-    picture = (tmp_path / "000000.png").read_bytes()
-    assert picture == render_png(pack_battery.draw_reset(scene))
 
 
 def test_ambiguity_counts_what_can_be_picked_and_placed(scenes: list[SceneSpec]) -> None:
@@ -156,12 +113,14 @@ def test_a_scene_is_drawn_again_until_a_sentence_fits(
         "    templates: {no_slackness: ['Put the {battery} in the {slot}.']}\n"
     )
     library = load_templates("pack_battery", path)
-    drawn = [sample_scene(pack_battery, root_seed=0, index=i, library=library) for i in range(5)]
+    drawn = [sample_scene(pack_battery, root_seed=0, index=i, library=library) for i in range(12)]
     assert any(scene.seed.attempt > 0 for scene in drawn)
     assert all(len(scene.instruction.pairs) == 1 for scene in drawn)
 
 
-def test_redraws_are_bounded(pack_battery: PackBattery, tmp_path: Path) -> None:
+def test_redraws_are_bounded_and_the_error_names_remedies(
+    pack_battery: PackBattery, tmp_path: Path
+) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(
         "schema: codediffuser.instruction_templates/1\ntasks:\n  pack_battery:\n"
@@ -169,8 +128,98 @@ def test_redraws_are_bounded(pack_battery: PackBattery, tmp_path: Path) -> None:
         "    templates: {slot_slackness: ['I need the {other_battery}, not the {battery}.']}\n"
     )
     library = load_templates("pack_battery", path)
-    with pytest.raises(InstructionError, match=r"scene 000000: no instruction in 50 layouts; last"):
-        sample_scene(pack_battery, root_seed=0, index=0, library=library)
+    with pytest.raises(InstructionError) as caught:
+        sample_scene(pack_battery, root_seed=0, index=0, library=library, picks=2, split="train")
+    message = str(caught.value)
+    assert message.startswith("pack_battery, scene 000000: none of 1000 layouts fits its sentence")
+    assert "is the other battery, yet 'left-most battery' means" in message
+    assert "widen split train by the key 'splits' of pack_battery.yaml" in message
+    assert "ask for more picks or places" in message
+    assert f"change the sentence in {path}" in message
+
+
+def test_sentences_about_another_object_are_not_tried_with_one(
+    pack_battery: PackBattery, tmp_path: Path
+) -> None:
+    for index in range(20):
+        scene = sample_scene(pack_battery, root_seed=0, index=index, picks=1, places=1)
+        assert not any(p.startswith("other_") for p in scene.instruction.components)
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "schema: codediffuser.instruction_templates/1\ntasks:\n  pack_battery:\n"
+        "    components: {battery: [left-most battery], slot: [nearest slot]}\n"
+        "    templates: {slot_slackness: ['I need the {other_battery}, not the {battery}.']}\n"
+    )
+    with pytest.raises(ConfigError, match=r"every sentence mentions an 'other' .* picks 1 .* more"):
+        sample_scene(
+            pack_battery,
+            root_seed=0,
+            index=0,
+            picks=1,
+            library=load_templates("pack_battery", path),
+        )
+
+
+def test_splits_share_no_configuration(pack_battery: PackBattery) -> None:
+    splits = pack_battery.config.splits
+    for split in ("train", "val", "held_out"):
+        source = SceneSource(pack_battery, SamplingSettings(root_seed=5, split=split))
+        for index in range(25):
+            scene = source.draw(index)
+            x, y, _ = scene.object(scene.target.pick).position_m
+            assert scene.split == split
+            assert configuration_split(splits, (x, y), scene.target.place) == split
+            assert (scene.target.place in splits.held_out_places) == (split == "held_out")
+
+
+def test_a_task_that_holds_nothing_out_says_where_to_say_so() -> None:
+    config = PackBattery.load_config()
+    nothing = config.splits.model_copy(update={"held_out_places": ()})
+    task = PackBattery(config.model_copy(update={"splits": nothing}))
+    with pytest.raises(InstructionError, match="split held_out by the key 'splits' of pack_bat"):
+        sample_scene(task, root_seed=0, index=0, split="held_out")
+
+
+@pytest.mark.parametrize("split", ["seen", "unseen"])
+def test_sentences_can_be_kept_to_one_split(
+    pack_battery: PackBattery, split: TemplateSplit
+) -> None:
+    library = load_templates("pack_battery")
+    allowed = {t.id for t in library.templates if t.split == split}
+    for index in range(20):
+        said = sample_scene(
+            pack_battery, root_seed=0, index=index, template_split=split
+        ).instruction
+        assert said.template_split == split
+        assert said.template_id in allowed
+
+
+def test_strata_are_spread_evenly_and_only_possible_ones_asked_for(
+    pack_battery: PackBattery,
+) -> None:
+    factors = ("kind", "picks")
+    settings = SamplingSettings(root_seed=2, stratify=factors)
+    source = SceneSource(pack_battery, settings)
+    block = [source.draw(i) for i in range(16)]
+    seen = Counter((s.instruction.kind, s.ambiguity.picks) for s in block)
+    assert len(seen) == 16
+    assert set(seen.values()) == {1}
+    assert source.draw(3) == sample_scene(pack_battery, root_seed=2, index=3, stratify=factors)
+
+
+def test_target_places_can_be_spread_evenly_within_a_split(pack_battery: PackBattery) -> None:
+    settings = SamplingSettings(root_seed=2, stratify=("target_place",), split="train")
+    source = SceneSource(pack_battery, settings)
+    left = 12 - len(pack_battery.config.splits.held_out_places)
+    assert len({source.draw(i).target.place for i in range(left)}) == left
+
+
+def test_unknown_factors_are_refused_with_a_hint() -> None:
+    assert parse_factors(("picks", "kind")) == ("kind", "picks")
+    with pytest.raises(ConfigError, match=r"Unknown factor 'kinds'\. Did you mean 'kind'"):
+        parse_factors(("kinds",))
+    with pytest.raises(ConfigError, match="each factor once"):
+        parse_factors(("kind", "kind"))
 
 
 def test_an_unknown_task_gets_a_hint() -> None:

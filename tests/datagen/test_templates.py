@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 from codediffuser.datagen.instructions.generator import check_library
+from codediffuser.datagen.instructions.phrasebook import expand_phrases
 from codediffuser.datagen.instructions.templates import load_templates
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.errors import ConfigError, SchemaVersionError
@@ -47,6 +48,32 @@ def test_the_shipped_library_has_the_supplement_counts() -> None:
         assert found == expected
 
 
+def test_stow_book_has_a_library_of_each_kind() -> None:
+    library = load_templates("stow_book")
+    assert library.kinds == ("no_slackness", "side_slackness", "range_slackness")
+    for kind in library.kinds:
+        texts = [t.text for t in library.templates if t.kind == kind and t.split == "seen"]
+        assert len(set(texts)) == len(texts) >= 12
+
+
+@pytest.mark.parametrize("task", ["pack_battery", "hang_mug", "stow_book"])
+def test_every_kind_has_seen_and_unseen_sentences(task: str) -> None:
+    library = load_templates(task)
+    for split in ("seen", "unseen"):
+        part = library.only(split)  # type: ignore[arg-type]
+        assert part.kinds == library.kinds
+        assert {t.split for t in part.templates} == {split}
+    assert library.only(None) == library
+
+
+def test_a_library_without_unseen_sentences_says_how_to_mark_some(
+    write_library: WriteLibrary,
+) -> None:
+    library = load_templates("pack_battery", write_library())
+    with pytest.raises(ConfigError, match=r"no sentence is unseen; write some as '- unseen"):
+        library.only("unseen")
+
+
 def test_odd_spellings_are_kept() -> None:
     texts = {t.text for t in load_templates("hang_mug").templates}
     assert "Put Bob's mug, the {mug}, on the a branch." in texts
@@ -68,6 +95,54 @@ def test_a_template_knows_its_address_and_fills_its_placeholders(
     assert template.placeholders == ("battery", "slot")
     filled = template.fill({"battery": "left-most battery", "slot": "nearest slot"})
     assert filled == "Put the left-most battery in the nearest slot."
+
+
+def test_a_placeholder_that_begins_a_sentence_is_capitalised(write_library: WriteLibrary) -> None:
+    text = "{battery} goes there. {slot} is meant, {battery}."
+    (template,) = load_templates(
+        "pack_battery", write_library(None, {"no_slackness": [text]})
+    ).templates
+    filled = template.fill({"battery": "the left one", "slot": "the right one"})
+    assert filled == "The left one goes there. The right one is meant, the left one."
+
+
+def test_a_file_may_declare_its_own_kinds(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    kinds = {"far": {"names": ["slot"], "may_name": ["battery"]}}
+
+    def write(text: str, kinds: dict[str, object]) -> None:
+        sentences = {
+            "components": {"battery": ["*"], "slot": ["*"]}, "kinds": kinds,
+            "templates": {"far": ["Into the {slot}.", text]},
+        }  # fmt: skip
+        schema = "codediffuser.instruction_templates/1"
+        path.write_text(dump_yaml({"schema": schema, "tasks": {"pack_battery": sentences}}))
+        load_templates.cache_clear()
+
+    write("The {battery} into the {slot}.", dict(kinds))
+    assert load_templates("pack_battery", path).kinds == ("far",)
+    write("The {battery} into a slot.", dict(kinds))
+    with pytest.raises(
+        ConfigError, match=r"far\.1'.* names \{slot\}, and may name \{battery\}, got"
+    ):
+        load_templates("pack_battery", path)
+    write("Into the {slot}.", {"far": {"names": ["slots"]}})
+    with pytest.raises(ConfigError, match=r"kinds\.far': Unknown category 'slots'\. Did you mean"):
+        load_templates("pack_battery", path)
+
+
+def test_a_star_stands_for_any_words(
+    pack_battery: PackBattery, write_library: WriteLibrary
+) -> None:
+    path = write_library({"battery": ["*-most battery"], "slot": ["nearest slot", "slot on the *"]})
+    phrases = expand_phrases(pack_battery, load_templates("pack_battery", path))
+    assert len(phrases["battery"]) == 4
+    assert "slot on the middle row" in phrases["slot"]
+    assert "slot on left column" not in phrases["slot"]
+    path = write_library({"battery": ["*-mots battery"], "slot": ["nearest slot"]})
+    load_templates.cache_clear()
+    with pytest.raises(ConfigError, match=r"components\.battery': Unknown phrase '\*-mots"):
+        expand_phrases(pack_battery, load_templates("pack_battery", path))
 
 
 @pytest.mark.parametrize(
