@@ -7,7 +7,6 @@ written. Unknown keys are errors with a closest-name hint.
 from __future__ import annotations
 
 import difflib
-import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +18,9 @@ from ruamel.yaml.error import YAMLError
 
 from codediffuser.errors import ConfigError, SchemaVersionError
 from codediffuser.files import write_text
+from codediffuser.yaml_writer import dump_yaml
+
+__all__ = ["Document", "Raw", "Strict", "dump_yaml", "load_yaml", "parse_model"]
 
 Raw = dict[str, Any]
 M = TypeVar("M", bound=BaseModel)
@@ -128,28 +130,6 @@ def load_yaml(path: Path) -> Any:
         ConfigError: The file is missing or is not YAML; the message gives line and column.
     """
     return _parse_text(_read(path, "YAML"), path)
-
-
-def dump_yaml(raw: Any) -> str:
-    """Write plain dicts and lists as YAML, lists of numbers on one line."""
-    yaml = YAML()
-    yaml.default_flow_style = False
-    yaml.width = 100
-    stream = io.StringIO()
-    yaml.dump(_flow_number_lists(yaml, raw), stream)
-    return stream.getvalue()
-
-
-def _flow_number_lists(yaml: YAML, value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _flow_number_lists(yaml, item) for key, item in value.items()}
-    if isinstance(value, list):
-        if all(not isinstance(item, (dict, list)) for item in value):
-            sequence = yaml.seq(value)
-            sequence.fa.set_flow_style()
-            return sequence
-        return [_flow_number_lists(yaml, item) for item in value]
-    return value
 
 
 def _read(path: Path, kind: str) -> str:
