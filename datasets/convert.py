@@ -1,8 +1,9 @@
-"""Run to LeRobot dataset: every successful, labelled episode, the same bytes for any worker count.
+"""Run to dataset: every successful, labelled episode, the same bytes for any worker count.
 
-Clouds are the slow part. Each episode's are kept in `RUN/.cache/convert` as soon as they are made,
-so a killed convert continues where it was; the dataset itself is written beside its place and
-renamed, so a dataset that exists is whole.
+Each episode becomes a part, kept in `RUN/.cache/convert` as soon as it is made, so a killed convert
+continues where it was. The export itself is written beside its place and renamed, so an export that
+exists is whole. Parts that an earlier export holds are taken from there, and an export that would
+come out the same is not touched.
 """
 
 from __future__ import annotations
@@ -17,102 +18,113 @@ from pathlib import Path
 
 from codediffuser.datagen.episode import list_episodes, load_manifest
 from codediffuser.datagen.episode_format import EpisodeManifest
-from codediffuser.datagen.workers import run_tasks
 from codediffuser.datasets.clouds import CloudConfig
-from codediffuser.datasets.episode_clouds import (
-    CloudJob,
-    EpisodeColumns,
-    code_fingerprint,
-    ensure_columns,
-    labels_json,
-    load_columns,
+from codediffuser.datasets.export_meta import DOCUMENT, INFO, OTHER_DOCUMENT, DatasetDocument
+from codediffuser.datasets.export_meta import ExportedEpisode as Exported
+from codediffuser.datasets.exporting.card import write_card
+from codediffuser.datasets.exporting.format import (
+    ExportFormat,
+    ExportOptions,
+    format_for,
+    same_for_all,
 )
-from codediffuser.datasets.export_meta import (
-    DOCUMENT,
-    INFO,
-    DatasetDocument,
-    ExportedEpisode,
-    dataset_fingerprint,
+from codediffuser.datasets.exporting.jobs import (
+    PartJob,
+    find_previous,
+    make_parts,
+    nothing_changed,
+    plan_parts,
 )
-from codediffuser.datasets.features import (
-    ACTION,
-    EPISODE_ID,
-    LABELS,
-    POINT_CHANNELS,
-    POINTS,
-    STATE,
-    policy_features,
-)
-from codediffuser.datasets.lerobot_writer import LeRobotWriter
-from codediffuser.datasets.stats import feature_stats
-from codediffuser.errors import ConfigError, DatasetError
+from codediffuser.datasets.exporting.video import VideoConfig
+from codediffuser.errors import DatasetError
 from codediffuser.files import atomic_folder, remove_partials, sha256_file
 from codediffuser.labeling.store import LABELS as LABELS_FILE
 from codediffuser.labeling.store import episode_sha256, has_labels, load_labels
 from codediffuser.manifest import git_commit, versions
-from codediffuser.registry import unknown_name
-
-PROFILES = ("pointcloud",)
-ROBOT_TYPE = "panda"
 
 
 @dataclass(frozen=True, slots=True)
 class ConvertProgress:
-    """One episode's clouds are ready."""
+    """One episode's part is ready."""
 
     episode_id: str
     done: int
     total: int
     reused: bool
-    """Whether an earlier, interrupted convert had made them."""
+    """Whether it was taken from an interrupted convert or an earlier export."""
+
+    @property
+    def note(self) -> str:
+        """A few words for a progress bar."""
+        return f"{self.episode_id}{' unchanged' if self.reused else ''}"
 
 
 def convert_run(
     run: Path,
     out: Path | None = None,
     *,
-    profile: str = "pointcloud",
+    to: str = "lerobot",
+    profile: str | None = None,
     config: CloudConfig | None = None,
+    video: VideoConfig | None = None,
     workers: int = 1,
     overwrite: bool = False,
 ) -> Iterator[ConvertProgress]:
-    """Export a run as a LeRobot v3.0 dataset.
+    """Export a run.
 
     Args:
         run: Run folder with labelled episodes.
-        out: Folder of the dataset; None for `RUN/lerobot`.
-        profile: What is exported; `pointcloud`.
+        out: Folder of the export; None for the format's own place in the run.
+        to: Format, see `exporting.format.FORMATS`.
+        profile: What is exported; None takes the format's default.
         config: Sizes of the clouds; None for the defaults.
+        video: Codec and quality; None for the defaults.
         workers: Processes.
         overwrite: Whether a folder at `out` that no convert wrote may be replaced.
 
     Yields:
-        One item per episode as it gets ready. The dataset is there when the iterator ends.
+        One item per episode as it gets ready. The export is there when the iterator ends.
 
     Raises:
         DatasetError: No successful episodes, some without labels, an episode that cannot be
             converted, or something else at `out`. What was at `out` stays.
-        ConfigError: No such profile.
+        NotRegisteredError: No such format.
+        ConfigError: The format has no such profile.
     """
-    if profile not in PROFILES:
-        raise ConfigError(unknown_name("profile", profile, list(PROFILES)))
-    config, out = config or CloudConfig(), out or run / "lerobot"
-    _check_target(out, overwrite)
-    chosen, left_out = choose_episodes(run)
+    kind, chosen_profile = format_for(to, profile)
+    options = ExportOptions(
+        profile=chosen_profile, cloud=config or CloudConfig(), video=video or VideoConfig()
+    )
+    out = out or kind.default_out(run, chosen_profile)
+    check_target(out, overwrite)
+    chosen, left_out = choose_episodes(run, needs_labels=options.needs_labels)
+    format = kind(options, labelled=any(has_labels(folder) for folder in chosen))
     kept_in = run / ".cache" / "convert"
     with _exclusive(kept_in, run):
-        code = code_fingerprint()
-        jobs = [CloudJob(folder, config, kept_in, code) for folder in chosen]
-        for i, (name, reused) in enumerate(_make_all(jobs, workers)):
-            yield ConvertProgress(name, i + 1, len(jobs), reused)
+        previous = find_previous(out, format)
+        jobs = plan_parts(list(chosen), format, kept_in, previous)
+        if nothing_changed(jobs, previous, left_out):
+            shutil.rmtree(kept_in, ignore_errors=True)
+            for i, job in enumerate(jobs, start=1):
+                yield ConvertProgress(job.part.episode_folder.name, i, len(jobs), True)
+            return
+        for i, (name, reused) in enumerate(make_parts(jobs, workers), start=1):
+            yield ConvertProgress(name, i, len(jobs), reused)
         remove_partials(out.parent)
         with atomic_folder(out) as partial:
-            _write_dataset(partial, run, jobs, chosen, left_out, profile)
+            _write_export(partial, run, format, jobs, chosen, left_out)
         shutil.rmtree(kept_in, ignore_errors=True)
 
 
-def choose_episodes(run: Path) -> tuple[dict[Path, EpisodeManifest], list[str]]:
+def choose_episodes(
+    run: Path, *, needs_labels: bool = True
+) -> tuple[dict[Path, EpisodeManifest], list[str]]:
     """Successful episodes of a run by folder, and the ids of those that did not succeed.
+
+    Args:
+        run: Run folder.
+        needs_labels: Whether a run in which no episode has labels is an error. One in which only
+            some have is always one.
 
     Raises:
         DatasetError: None succeeded, or some that did have no labels; the message lists them.
@@ -126,7 +138,7 @@ def choose_episodes(run: Path) -> tuple[dict[Path, EpisodeManifest], list[str]]:
             f"run `codediffuser demo {run}` first"
         )
     bare = [m.id for folder, m in chosen.items() if not has_labels(folder)]
-    if bare:
+    if bare and (needs_labels or len(bare) < len(chosen)):
         listed = ", ".join(bare[:8]) + (f" and {len(bare) - 8} more" if len(bare) > 8 else "")
         raise DatasetError(
             f"{run}: {len(bare)} of {len(chosen)} successful episodes have no labels: {listed}; "
@@ -138,88 +150,59 @@ def choose_episodes(run: Path) -> tuple[dict[Path, EpisodeManifest], list[str]]:
     return chosen, left_out
 
 
-def _make_all(jobs: Sequence[CloudJob], workers: int) -> Iterator[tuple[str, bool]]:
-    """Make what is not there yet; id of each episode, and whether it was there."""
-    if workers <= 1:
-        for job in jobs:
-            yield job.folder.name, ensure_columns(job)
-        return
-    for outcome in run_tasks(ensure_columns, jobs, workers=workers):
-        if outcome.error:
-            raise DatasetError(f"episode {outcome.task.folder.name}: {outcome.error}")
-        yield outcome.task.folder.name, bool(outcome.value)
-
-
-def _write_dataset(
-    root: Path,
-    run: Path,
-    jobs: Sequence[CloudJob],
-    manifests: Mapping[Path, EpisodeManifest],
-    left_out: Sequence[str],
-    profile: str,
-) -> None:
-    config = jobs[0].config
-    writer = LeRobotWriter(
-        root,
-        policy_features(config.num_points, config.model_dump(mode="json")),
-        fps=manifests[jobs[0].folder].hz,
-        robot_type=ROBOT_TYPE,
-    )
-    exported = []
-    for index, job in enumerate(jobs):
-        manifest, columns = manifests[job.folder], load_columns(job.path)
-        _add_episode(writer, job.folder, manifest, columns)
-        exported.append(
-            ExportedEpisode(
-                episode_index=index,
-                episode_id=manifest.id,
-                frames=len(columns.state),
-                episode_sha256=episode_sha256(manifest),
-                labels_revision=load_labels(job.folder).revision,
-                labels_sha256=sha256_file(job.folder / LABELS_FILE),
-            )
-        )
-    writer.finish()
-    DatasetDocument(
-        profile=profile,
-        task=",".join(sorted({m.task for m in manifests.values()})),
-        cloud=config,
-        source=run.resolve().name,
-        episodes=tuple(exported),
-        left_out=tuple(left_out),
-        versions=versions(),
-        git_commit=git_commit(),
-        content_sha256=dataset_fingerprint(root),
-    ).save(root / DOCUMENT)
-
-
-def _add_episode(
-    writer: LeRobotWriter, folder: Path, manifest: EpisodeManifest, columns: EpisodeColumns
-) -> None:
-    length = len(columns.state)
-    per_point = columns.points.reshape(-1, len(POINT_CHANNELS))
-    writer.add_episode(
-        {
-            POINTS: columns.points,
-            STATE: columns.state,
-            ACTION: columns.action,
-            LABELS: [labels_json(folder)] * length,
-            EPISODE_ID: [manifest.id] * length,
-        },
-        manifest.instruction,
-        {POINTS: feature_stats(per_point, count=length)},
-    )
-
-
-def _check_target(out: Path, overwrite: bool) -> None:
+def check_target(out: Path, overwrite: bool) -> None:
+    """Raise `DatasetError` when something lies at `out` that no convert wrote."""
     if not out.exists() or overwrite:
         return
-    if out.is_dir() and ((out / DOCUMENT).exists() or not any(out.iterdir())):
+    own = any((out / name).exists() for name in (DOCUMENT, OTHER_DOCUMENT))
+    if out.is_dir() and (own or not any(out.iterdir())):
         return
     known = " (a LeRobot dataset of another origin)" if (out / INFO).exists() else ""
     raise DatasetError(
         f"{out}: exists and was not written by convert{known}; choose another --out, "
         "or give --overwrite"
+    )
+
+
+def _write_export(
+    root: Path,
+    run: Path,
+    format: ExportFormat,
+    jobs: Sequence[PartJob],
+    manifests: Mapping[Path, EpisodeManifest],
+    left_out: Sequence[str],
+) -> None:
+    """Join the parts, then describe the result for programs and for people."""
+    ordered = [manifests[job.part.episode_folder] for job in jobs]
+    same_for_all(ordered, "rate in Hz", [m.hz for m in ordered])
+    format.assemble(root, [job.part for job in jobs], ordered)
+    document = DatasetDocument(
+        format=format.NAME,
+        profile=format.options.profile,
+        options=format.relevant_options,
+        task=",".join(sorted({m.task for m in ordered})),
+        cloud=format.options.cloud if format.options.profile == "pointcloud" else None,
+        source=run.resolve().name,
+        episodes=tuple(_exported(i, job, ordered[i]) for i, job in enumerate(jobs)),
+        left_out=tuple(left_out),
+        versions=versions(),
+        git_commit=git_commit(),
+        content_sha256=format.fingerprint(root),
+    )
+    document.save(root / format.DOCUMENT)
+    write_card(root, document, [job.part.episode_folder for job in jobs], format.labelled)
+
+
+def _exported(index: int, job: PartJob, manifest: EpisodeManifest) -> Exported:
+    folder, labelled = job.part.episode_folder, job.format.labelled
+    return Exported(
+        episode_index=index,
+        episode_id=manifest.id,
+        frames=manifest.frames,
+        episode_sha256=episode_sha256(manifest),
+        labels_revision=load_labels(folder).revision if labelled else 0,
+        labels_sha256=sha256_file(folder / LABELS_FILE) if labelled else "",
+        part=job.part.key,
     )
 
 

@@ -7,23 +7,36 @@ none, and is known by `dataset_fingerprint` alone.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, ClassVar
+
+from pydantic import Field
 
 from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.datasets.features import POINTS
 from codediffuser.errors import DatasetError
 from codediffuser.files import sha256_file, sha256_json
-from codediffuser.schema import Document, Strict, parse_model
+from codediffuser.schema import Document, Raw, Strict, parse_model
 
 DOCUMENT = "meta/codediffuser.json"
 INFO = "meta/info.json"
+CARD = "README.md"
+CARD_ASSETS = "card"
+"""Folder of the card's pictures."""
 STATS = "meta/stats.json"
 TASKS = "meta/tasks.parquet"
+PART_STATS = "meta/codediffuser_stats"
+"""Folder with one `PartStats` file per episode: what merging needs for exact quantiles."""
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 CODEBASE_VERSION = "v3.0"
 """LeRobot's name of the layout."""
+
+
+OTHER_DOCUMENT = "codediffuser.json"
+"""The same document in exports of other formats."""
 
 
 class ExportedEpisode(Strict):
@@ -35,20 +48,31 @@ class ExportedEpisode(Strict):
     episode_sha256: str
     """Content of the episode, as labels name it."""
     labels_revision: int
+    """0 for an episode without labels."""
     labels_sha256: str
-    """SHA-256 of `labels.json`, which names its points by hash."""
+    """SHA-256 of `labels.json`, which names its points by hash; empty without labels."""
+    part: str = ""
+    """`part_key`: hash of all that decided what the export holds of this episode."""
 
 
 class DatasetDocument(Document):
-    """What `meta/codediffuser.json` says (`schema: codediffuser.dataset/1`)."""
+    """What `meta/codediffuser.json` says (`schema: codediffuser.dataset/2`).
+
+    Version 2 adds `format`, `options` and each episode's `part`; `cloud` may be absent.
+    """
 
     KIND: ClassVar[str] = "dataset"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
+    UPGRADES: ClassVar[dict[int, Callable[[Raw], Raw]]] = {1: dict}  # all that is new has defaults
 
+    format: str = "lerobot"
     profile: str
+    options: dict[str, Any] = Field(default_factory=dict)
+    """What of the options decided the bytes."""
     task: str
     """Name of the task, or of all tasks, joined by commas."""
-    cloud: CloudConfig
+    cloud: CloudConfig | None = None
+    """How clouds were made; None for profiles without."""
     source: str
     """Name of the run folder."""
     episodes: tuple[ExportedEpisode, ...]
@@ -61,19 +85,28 @@ class DatasetDocument(Document):
 
 
 def dataset_fingerprint(root: Path) -> str:
-    """SHA-256 over names and bytes of all files of `data/` and `meta/`, without our own document.
+    """SHA-256 over names and bytes of `data/`, `meta/` and `videos/`, without our own document.
 
     Raises:
         DatasetError: There is no LeRobot dataset at `root`.
     """
     load_info(root)
-    files = [p for part in ("data", "meta") for p in sorted((root / part).rglob("*"))]
-    named = {
-        p.relative_to(root).as_posix(): sha256_file(p)
-        for p in files
-        if p.is_file() and p != root / DOCUMENT
-    }
-    return sha256_json(named)
+    files = [p for part in ("data", "meta", "videos") for p in (root / part).rglob("*")]
+    return _hash_files(root, [p for p in files if p != root / DOCUMENT])
+
+
+def export_fingerprint(root: Path) -> str:
+    """`dataset_fingerprint` for an export of another format: all its files count, save the card."""
+    apart = {OTHER_DOCUMENT, CARD, CARD_ASSETS}
+    return _hash_files(
+        root, [p for p in root.rglob("*") if p.relative_to(root).parts[0] not in apart]
+    )
+
+
+def _hash_files(root: Path, files: Iterable[Path]) -> str:
+    return sha256_json(
+        {p.relative_to(root).as_posix(): sha256_file(p) for p in files if p.is_file()}
+    )
 
 
 def load_dataset_document(root: Path) -> DatasetDocument:

@@ -6,7 +6,7 @@ episode for them, and loses the session when it is killed. What it writes otherw
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +21,26 @@ from codediffuser.datasets.export_meta import (
     INFO,
     STATS,
     TASKS,
+    VIDEO,
 )
-from codediffuser.datasets.features import DEFAULT_FEATURES, Feature
-from codediffuser.datasets.stats import Stats, feature_stats, merge_stats
-from codediffuser.errors import ShapeError
+from codediffuser.datasets.exporting.columns import PartStats, arrow_schema
+from codediffuser.datasets.exporting.pictures import pixel_stats
+from codediffuser.datasets.exporting.video import VideoJoiner
+from codediffuser.datasets.features import DEFAULT_FEATURES, Feature, VideoFeature
+from codediffuser.datasets.stats import (
+    QUANTILES,
+    Histogram,
+    Stats,
+    feature_stats,
+    merge_stats,
+    with_quantiles,
+)
+from codediffuser.errors import DatasetError, ShapeError
 from codediffuser.files import write_json
 
 CHUNK_FILES = 1000
 FILE_MB = 100
-Column = np.ndarray | Sequence[str]
+VIDEO_FILE_MB = 200
 
 
 class LeRobotWriter:
@@ -37,50 +48,70 @@ class LeRobotWriter:
 
     Args:
         root: Folder to write into.
-        features: Columns besides LeRobot's own.
+        features: Columns besides LeRobot's own, and videos.
         fps: Frames per second.
         robot_type: Name of the robot.
     """
 
     def __init__(
-        self, root: Path, features: Mapping[str, Feature], *, fps: int, robot_type: str
+        self,
+        root: Path,
+        features: Mapping[str, Feature | VideoFeature],
+        *,
+        fps: int,
+        robot_type: str,
     ) -> None:
         self.root = root
-        self.features = {**features, **DEFAULT_FEATURES}
+        self.videos = {k: f for k, f in features.items() if isinstance(f, VideoFeature)}
+        own = {k: f for k, f in features.items() if isinstance(f, Feature)}
+        self.features = {**own, **DEFAULT_FEATURES}
         self.fps = fps
         self.robot_type = robot_type
         self.num_frames = 0
         self._tasks: dict[str, int] = {}
         self._rows: list[dict[str, Any]] = []
         self._stats: list[dict[str, Stats]] = []
-        self._file_number = -1
-        self._file_bytes = 0
-        self._writer: pq.ParquetWriter | None = None
-        self._schema = pa.schema([(k, _arrow_type(f)) for k, f in self.features.items()])
+        self._exact = _ExactQuantiles()
+        self._files = _DataFiles(root, self.features)
+        self._video_files = {key: _VideoFiles(root, key, fps) for key in self.videos}
 
     def add_episode(
-        self, columns: Mapping[str, Column], task: str, stats: Mapping[str, Stats] | None = None
+        self,
+        table: pa.Table,
+        task: str,
+        stats: PartStats | None = None,
+        videos: Mapping[str, Path] | None = None,
     ) -> None:
         """Append one episode.
 
         Args:
-            columns: Each feature's (T, size) array, or T strings.
+            table: Its columns without LeRobot's own, see `arrow_table`.
             task: What was asked.
-            stats: Statistics of features where those of the columns are not wanted.
+            stats: Statistics where those of the columns are not wanted, and those of the videos.
+            videos: File of each video feature; it holds exactly this episode.
 
         Raises:
-            ShapeError: A column is missing or does not have its shape.
+            ShapeError: A column or a video is missing.
+            DatasetError: A video has not one picture for each row.
         """
-        length = len(next(iter(columns.values())))
-        full = {**columns, **self._own_columns(length, task)}
-        arrays = [self._arrow(key, full, length) for key in self.features]
-        table = pa.Table.from_arrays(arrays, schema=self._schema)
-        chunk, file = self._write(table)
-        found: dict[str, Stats] = {}
-        for key, feature in self.features.items():
-            if feature.dtype != "string":
-                values = np.asarray(full[key]).reshape(length, feature.size)
-                found[key] = (stats or {}).get(key) or feature_stats(values)
+        length, stats = len(table), stats or PartStats()
+        own = self._own_columns(length, task)
+        table = pa.Table.from_arrays(
+            [
+                table[key].combine_chunks() if key not in own else pa.array(own[key])
+                for key in self._require(table)
+            ],
+            schema=arrow_schema(self.features),
+        )
+        found = {
+            key: stats.stats.get(key) or feature_stats(_numbers(table[key], feature.size))
+            for key, feature in self.features.items()
+            if feature.dtype != "string"
+        }
+        for key, counts in stats.pixel_counts.items():
+            found[key] = pixel_stats(counts, length)
+        self._exact.add(table, self.features, stats)
+        chunk, file = self._files.append(table)
         self._stats.append(found)
         self._rows.append(
             {
@@ -91,6 +122,7 @@ class LeRobotWriter:
                 "data/file_index": file,
                 "dataset_from_index": self.num_frames,
                 "dataset_to_index": self.num_frames + length,
+                **self._append_videos(videos or {}, length),
                 **{
                     f"stats/{key}/{name}": value.tolist()
                     for key, each in found.items()
@@ -104,14 +136,15 @@ class LeRobotWriter:
 
     def finish(self) -> None:
         """Write everything that is known only at the end."""
-        if self._writer is not None:
-            self._writer.close()
+        self._files.close()
+        for files in self._video_files.values():
+            files.close()
         path = self.root / EPISODES.format(chunk_index=0, file_index=0)
         path.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(pa.Table.from_pylist(self._rows), path)
-        self._write_tasks()
         total = len(self._rows)
         merged = {key: merge_stats([s[key] for s in self._stats]) for key in self._stats[0]}
+        merged = self._exact.replace(merged)
         write_json(
             self.root / STATS,
             {k: {n: v.tolist() for n, v in each.items()} for k, each in merged.items()},
@@ -126,14 +159,18 @@ class LeRobotWriter:
                 "total_tasks": len(self._tasks),
                 "chunks_size": CHUNK_FILES,
                 "data_files_size_in_mb": FILE_MB,
-                "video_files_size_in_mb": 200,
+                "video_files_size_in_mb": VIDEO_FILE_MB,
                 "fps": self.fps,
                 "splits": {"train": f"0:{total}"},
                 "data_path": DATA,
-                "video_path": None,
-                "features": {k: f.declaration() for k, f in self.features.items()},
+                "video_path": VIDEO if self.videos else None,
+                "features": {
+                    **{key: video.declaration() for key, video in self.videos.items()},
+                    **{key: feature.declaration() for key, feature in self.features.items()},
+                },
             },
         )
+        self._write_tasks()
 
     def _own_columns(self, length: int, task: str) -> dict[str, np.ndarray]:
         frame = np.arange(length)
@@ -146,34 +183,22 @@ class LeRobotWriter:
             "task_index": np.full(length, task_index),
         }
 
-    def _arrow(self, key: str, columns: Mapping[str, Column], length: int) -> pa.Array:
-        feature = self.features[key]
-        if key not in columns:
-            raise ShapeError(f"column '{key}' is missing; there are: {', '.join(sorted(columns))}")
-        if feature.dtype == "string":
-            return pa.array(list(columns[key]), pa.string())
-        values = np.ascontiguousarray(columns[key], dtype=feature.dtype)
-        if values.size != length * feature.size or len(values) != length:
+    def _require(self, table: pa.Table) -> list[str]:
+        lacking = [k for k in self.features if k not in table.schema.names]
+        lacking = [k for k in lacking if k not in DEFAULT_FEATURES]
+        if lacking:
             raise ShapeError(
-                f"{key}: expected shape ({length}, {feature.size}), got {values.shape}"
+                f"column '{lacking[0]}' is missing; there are: {', '.join(table.schema.names)}"
             )
-        flat = pa.array(values.reshape(-1))
-        return flat if feature.size == 1 else pa.FixedSizeListArray.from_arrays(flat, feature.size)
+        return list(self.features)
 
-    def _write(self, table: pa.Table) -> tuple[int, int]:
-        """Append to the open data file, or to a next one when it is full; return chunk and file."""
-        if self._writer is None or self._file_bytes + table.nbytes > FILE_MB * 2**20:
-            if self._writer is not None:
-                self._writer.close()
-            self._file_number += 1
-            self._file_bytes = 0
-            chunk, file = divmod(self._file_number, CHUNK_FILES)
-            path = self.root / DATA.format(chunk_index=chunk, file_index=file)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = pq.ParquetWriter(path, self._schema, compression="snappy")
-        self._writer.write_table(table, row_group_size=len(table))
-        self._file_bytes += table.nbytes
-        return divmod(self._file_number, CHUNK_FILES)
+    def _append_videos(self, videos: Mapping[str, Path], length: int) -> dict[str, Any]:
+        row: dict[str, Any] = {}
+        for key, files in self._video_files.items():
+            if key not in videos:
+                raise ShapeError(f"video '{key}' is missing; there are: {', '.join(videos)}")
+            row |= files.append(videos[key], length)
+        return row
 
     def _write_tasks(self) -> None:
         # LeRobot keeps sentences in the index of a pandas frame.
@@ -183,6 +208,114 @@ class LeRobotWriter:
         frame.to_parquet(self.root / TASKS)
 
 
-def _arrow_type(feature: Feature) -> pa.DataType:
-    scalar = {"float32": pa.float32(), "int64": pa.int64(), "string": pa.string()}[feature.dtype]
-    return scalar if feature.size == 1 else pa.list_(scalar, feature.size)
+class _DataFiles:
+    """The data files, each of about `FILE_MB`."""
+
+    def __init__(self, root: Path, features: Mapping[str, Feature]) -> None:
+        self.root = root
+        self._schema = arrow_schema(features)
+        # Pictures in text shrink by a quarter under zstd; numbers gain little.
+        self._compression = {
+            key: "zstd" if feature.dtype == "string" else "snappy"
+            for key, feature in features.items()
+        }
+        self._number = -1
+        self._bytes = 0
+        self._writer: pq.ParquetWriter | None = None
+
+    def append(self, table: pa.Table) -> tuple[int, int]:
+        """Write to the open file, or to a next one when it is full; return chunk and file."""
+        if self._writer is None or self._bytes + table.nbytes > FILE_MB * 2**20:
+            self.close()
+            self._number += 1
+            self._bytes = 0
+            chunk, file = divmod(self._number, CHUNK_FILES)
+            path = self.root / DATA.format(chunk_index=chunk, file_index=file)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(path, self._schema, compression=self._compression)
+        self._writer.write_table(table, row_group_size=len(table))
+        self._bytes += table.nbytes
+        return divmod(self._number, CHUNK_FILES)
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+
+class _VideoFiles:
+    """The files of one video feature, each of about `VIDEO_FILE_MB`."""
+
+    def __init__(self, root: Path, key: str, fps: int) -> None:
+        self.root, self.key, self.fps = root, key, fps
+        self._number = -1
+        self._joiner: VideoJoiner | None = None
+
+    def append(self, video: Path, length: int) -> dict[str, Any]:
+        """Append one episode; return what its row says about it."""
+        joiner = self._joiner
+        if joiner is None or joiner.bytes + video.stat().st_size > VIDEO_FILE_MB * 2**20:
+            self.close()
+            self._number += 1
+            joiner = self._joiner = VideoJoiner(self._path(), self.fps)
+        start = joiner.frames
+        found = joiner.append(video)
+        if found != length:
+            raise DatasetError(f"{video}: expected {length} pictures, one a row, found {found}")
+        chunk, file = divmod(self._number, CHUNK_FILES)
+        return {
+            f"videos/{self.key}/chunk_index": chunk,
+            f"videos/{self.key}/file_index": file,
+            f"videos/{self.key}/from_timestamp": start / self.fps,
+            f"videos/{self.key}/to_timestamp": (start + length) / self.fps,
+        }
+
+    def close(self) -> None:
+        if self._joiner is not None:
+            self._joiner.close()
+
+    def _path(self) -> Path:
+        chunk, file = divmod(self._number, CHUNK_FILES)
+        return self.root / VIDEO.format(video_key=self.key, chunk_index=chunk, file_index=file)
+
+
+class _ExactQuantiles:
+    """Quantiles of all frames together, which those of episodes do not tell."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, list[np.ndarray]] = {}
+        self._histograms: dict[str, list[list[Histogram]]] = {}
+        self._pixels: dict[str, np.ndarray] = {}
+        self._frames = 0
+
+    def add(self, table: pa.Table, features: Mapping[str, Feature], stats: PartStats) -> None:
+        self._frames += len(table)
+        for key, feature in features.items():
+            if feature.dtype != "string" and key not in stats.stats:
+                self._values.setdefault(key, []).append(_numbers(table[key], feature.size))
+        for key, channels in stats.histograms.items():
+            self._histograms.setdefault(key, []).append(channels)
+        for key, counts in stats.pixel_counts.items():
+            self._pixels[key] = self._pixels.get(key, 0) + counts
+
+    def replace(self, merged: Mapping[str, Stats]) -> dict[str, Stats]:
+        """The same statistics with quantiles of all frames."""
+        found = dict(merged)
+        for key, values in self._values.items():
+            numbers = np.concatenate(values).astype(np.float64)
+            found[key] = with_quantiles(
+                found[key], np.quantile(numbers, list(QUANTILES.values()), axis=0)
+            )
+        for key, parts in self._histograms.items():
+            channels = [Histogram.sum(each).quantiles() for each in zip(*parts, strict=True)]
+            found[key] = with_quantiles(found[key], np.stack(channels, axis=1))
+        for key, counts in self._pixels.items():
+            found[key] = pixel_stats(counts, self._frames)
+        return found
+
+
+def _numbers(column: pa.ChunkedArray, size: int) -> np.ndarray:
+    """A column as (T, size)."""
+    flat = column.combine_chunks()
+    if size > 1:
+        flat = flat.flatten()
+    return np.asarray(flat.to_numpy(zero_copy_only=False)).reshape(-1, size)

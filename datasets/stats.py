@@ -7,6 +7,7 @@ writer would keep one set for each of the 2560 columns.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,6 +41,51 @@ def feature_stats(values: np.ndarray, count: int | None = None) -> Stats:
         "count": np.array([len(values) if count is None else count], dtype=np.int64),
     }
     quantiles = np.quantile(exact, list(QUANTILES.values()), axis=0)
+    return {**stats, **dict(zip(QUANTILES, quantiles, strict=True))}
+
+
+STEP = 2.0**-10
+"""Width of the bins of a `Histogram`: 1 mm for metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Histogram:
+    """How often the values of one column fell into bins of fixed width; few of them are not empty.
+
+    Histograms of parts add up to that of the whole, so quantiles of any union of episodes are known
+    to within `STEP / 2`.
+    """
+
+    bins: np.ndarray
+    """(B,) int64, ascending: value / `STEP`, rounded."""
+    counts: np.ndarray
+    """(B,) int64."""
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> Histogram:
+        """Count (M,) finite numbers."""
+        bins, counts = np.unique(np.rint(values / STEP).astype(np.int64), return_counts=True)
+        return cls(bins, counts.astype(np.int64))
+
+    @classmethod
+    def sum(cls, parts: Sequence[Histogram]) -> Histogram:
+        """Histogram of all parts together."""
+        bins = np.concatenate([part.bins for part in parts])
+        counts = np.concatenate([part.counts for part in parts])
+        joined, where = np.unique(bins, return_inverse=True)
+        total = np.zeros(len(joined), dtype=np.int64)
+        np.add.at(total, where, counts)
+        return cls(joined, total)
+
+    def quantiles(self) -> np.ndarray:
+        """Values (5,) float64 of `QUANTILES`."""
+        reached = self.counts.cumsum() / self.counts.sum()
+        found = np.searchsorted(reached, list(QUANTILES.values()))
+        return np.asarray(self.bins[found] * STEP)
+
+
+def with_quantiles(stats: Stats, quantiles: np.ndarray) -> Stats:
+    """The same statistics with other quantiles, (5, D) in the order of `QUANTILES`."""
     return {**stats, **dict(zip(QUANTILES, quantiles, strict=True))}
 
 

@@ -167,8 +167,8 @@ def test_a_dataset_of_another_kind_is_refused(exported_run: Path) -> None:
         WindowCache.open(exported_run / "lerobot")
     info.write_text(text)
     document = exported_run / "lerobot" / DOCUMENT
-    document.write_text(document.read_text().replace("codediffuser.dataset/1", "x.dataset/1"))
-    with pytest.raises(SchemaVersionError, match=r"expected schema 'codediffuser\.dataset/1'"):
+    document.write_text(document.read_text().replace("codediffuser.dataset/2", "x.dataset/2"))
+    with pytest.raises(SchemaVersionError, match=r"expected schema 'codediffuser\.dataset/2'"):
         WindowCache.open(exported_run / "lerobot")
 
 

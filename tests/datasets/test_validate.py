@@ -181,6 +181,6 @@ def test_any_other_change_is_found_by_the_fingerprint(exported_run: Path) -> Non
 
 def test_a_newer_schema_is_refused_by_name(exported_run: Path) -> None:
     path = exported_run / "lerobot" / DOCUMENT
-    path.write_text(path.read_text().replace("codediffuser.dataset/1", "codediffuser.dataset/9"))
+    path.write_text(path.read_text().replace("codediffuser.dataset/2", "codediffuser.dataset/9"))
     with pytest.raises(SchemaVersionError, match=r"codediffuser\.dataset/9"):
         list(validate(exported_run / "lerobot"))
