@@ -170,8 +170,8 @@ def remove_partials(folder: Path, names: Collection[str] = ()) -> list[str]:
 
     Args:
         folder: Where `atomic_path` and `atomic_folder` wrote.
-        names: Files and folders that nobody else may be writing: what is left of these is removed
-            even when another machine made it.
+        names: Look only at these files and folders, which nobody may be writing now: what is left
+            of them is removed even when another machine made it. Empty for all.
 
     Returns:
         Names of what was removed, sorted.
@@ -195,7 +195,7 @@ def _orphans(folder: Path, prefix: str, names: Collection[str]) -> Iterator[tupl
     """Yield `PREFIX<process>[@<machine>]-<name>` entries that no process writes, and the name."""
     for path in sorted(folder.glob(f"{prefix}*")):
         owner, _, name = path.name.removeprefix(prefix).partition("-")
-        if name in names or not _may_be_written(path, owner):
+        if name in names if names else not _may_be_written(path, owner):
             yield path, name
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +28,8 @@ class DemoFailure(Document):
     cause: Literal["expert", "process"]
     """`expert`: the script failed, and would again. `process`: its process died or hung."""
     phase: str
-    """Phase in which it went wrong: `grasp:missed`, ..."""
+    """Phase in which it went wrong: `grasp:missed`, ..., or `process:hung`, `process:died`,
+    `process:error`."""
     reason: str
     conditions: tuple[ConditionRecord, ...] = ()
     steps: int = 0
@@ -63,12 +65,15 @@ class DemoResult:
     render_s: float = 0.0
     write_s: float = 0.0
     """Compressing, writing and reading back."""
+    tries: int = 1
+    rss_mb: float = 0.0
+    """Memory of the process after this scene."""
 
     @property
     def note(self) -> str:
         """A few words for a progress bar."""
         if self.success:
-            return f"{self.scene_id} {self.bytes / 1e6:.1f} MB"
+            return f"{self.scene_id} {self.bytes / 1e6:.1f} MB" if self.bytes else self.scene_id
         return f"{self.scene_id} failed: {self.phase or self.reason}"
 
     @classmethod
@@ -84,6 +89,11 @@ class DemoResult:
         )
 
     @classmethod
+    def of_physics(cls, scene_id: str, steps: int, **more: float | bool) -> DemoResult:
+        """Result of a success whose pictures are not drawn yet."""
+        return cls(scene_id=scene_id, success=True, steps=steps, **more)  # type: ignore[arg-type]
+
+    @classmethod
     def of_failure(cls, failure: DemoFailure, **more: float | bool) -> DemoResult:
         """Result of a scene without an episode."""
         return cls(
@@ -92,6 +102,7 @@ class DemoResult:
             phase=failure.phase,
             reason=failure.reason,
             steps=failure.steps,
+            tries=failure.tries,
             **more,  # type: ignore[arg-type]
         )
 
@@ -100,17 +111,22 @@ class DemoSummary(Document):
     """`RUN/demo_summary.json`: yield of the whole run, and speed of the last call."""
 
     KIND: ClassVar[str] = "demo_summary"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     scenes: int
+    attempts: int
+    """Scenes that were tried, with those tried again after their process died or hung."""
+    successes: int
+    """Scenes that the expert solved."""
     episodes: int
+    """Successes that have their pictures."""
     success_rate: float
-    """Episodes over scenes; 0 without scenes."""
+    """Successes over scenes; 0 without scenes."""
     failures_by_phase: dict[str, int]
     failed_scenes: dict[str, str]
     """Scene id to reason."""
     bytes_per_episode: float
-    new_episodes: int
+    new_successes: int
     """Made in the last call; what follows is about these."""
     workers: int
     wall_s: float
@@ -123,32 +139,77 @@ class DemoSummary(Document):
     camera_sets_per_s: float
     """Of rendering, in one process; a set is one picture of every camera."""
     episodes_per_hour: float
+    """Successes of the last call, with pictures unless it was physics alone."""
+    rss_mb_early: float
+    """Median memory of a process over the first fifth of the scenes of the last call."""
+    rss_mb_late: float
+    """The same over the last fifth."""
 
 
 def summarize(results: Sequence[DemoResult], *, workers: int, wall_s: float) -> DemoSummary:
-    """Count results and derive speeds; a rate without time or episodes is 0."""
-    good = [r for r in results if r.success]
-    bad = [r for r in results if not r.success]
+    """Count results and derive speeds; a rate without time or episodes is 0.
+
+    Args:
+        results: In the order in which they came.
+        workers: Processes of the last call.
+        wall_s: Its duration.
+    """
+    good, bad = [r for r in results if r.success], [r for r in results if not r.success]
+    drawn = [r for r in good if r.bytes]
     now = [r for r in results if not r.earlier]
     made = [r for r in now if r.success]
     physics_s, render_s = sum(r.physics_s for r in now), sum(r.render_s for r in now)
+    memory = [r.rss_mb for r in now if r.rss_mb]
+    fifth = max(len(memory) // 5, 1)
     return DemoSummary(
         scenes=len(results),
-        episodes=len(good),
+        attempts=sum(r.tries for r in results),
+        successes=len(good),
+        episodes=len(drawn),
         success_rate=_ratio(len(good), len(results)),
         failures_by_phase=dict(sorted(Counter(r.phase or "unknown" for r in bad).items())),
         failed_scenes={r.scene_id: r.reason for r in sorted(bad, key=lambda r: r.scene_id)},
-        bytes_per_episode=_ratio(sum(r.bytes for r in good), len(good)),
-        new_episodes=len(made),
+        bytes_per_episode=_ratio(sum(r.bytes for r in drawn), len(drawn)),
+        new_successes=len(made),
         workers=workers,
         wall_s=wall_s,
         physics_s=physics_s,
         render_s=render_s,
         write_s=sum(r.write_s for r in now),
         control_steps_per_s=_ratio(sum(r.steps for r in now if r.physics_s), physics_s),
-        camera_sets_per_s=_ratio(sum(r.steps for r in made), render_s),
+        camera_sets_per_s=_ratio(sum(r.steps for r in made if r.render_s), render_s),
         episodes_per_hour=_ratio(3600 * len(made), wall_s),
+        rss_mb_early=statistics.median(memory[:fifth]) if memory else 0.0,
+        rss_mb_late=statistics.median(memory[-fifth:]) if memory else 0.0,
     )
+
+
+def report_lines(summary: DemoSummary) -> list[str]:
+    """Yield, failure histogram and throughput in words, without speeds that nothing was done at."""
+    s = summary
+    lines = [
+        f"{s.successes} of {s.scenes} scenes solved ({s.success_rate:.1%}) in {s.attempts} "
+        f"attempts; {s.episodes} have their pictures"
+    ]
+    lines += [f"  failed {count} x {phase}" for phase, count in s.failures_by_phase.items()]
+    if s.episodes:
+        lines.append(f"{s.bytes_per_episode / 1e6:.1f} MB an episode")
+    if s.new_successes:
+        lines.append(
+            f"{s.new_successes} new in {s.wall_s:.0f} s by {s.workers} workers: "
+            f"{s.episodes_per_hour:.0f} an hour"
+        )
+    speeds = []
+    if s.control_steps_per_s:
+        speeds.append(f"{s.control_steps_per_s:.0f} control steps/s")
+    if s.camera_sets_per_s:
+        speeds.append(f"{s.camera_sets_per_s:.1f} camera sets/s")
+    if speeds:
+        lines.append(
+            f"in one process: {', '.join(speeds)}; memory {s.rss_mb_early:.0f} MB early, "
+            f"{s.rss_mb_late:.0f} MB late"
+        )
+    return lines
 
 
 def _ratio(part: float, whole: float) -> float:

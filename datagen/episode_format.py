@@ -5,6 +5,8 @@ RUN/episodes/000042/
     episode.mcap    everything that was sensed and commanded, ROS 2 messages
     scene.yaml      the configuration it was reset to (simulation)
     states.npz      simulator states per control step (simulation)
+    appearance.json what was randomised in its pictures (only if anything was)
+    recovery.json   how its hand was pushed (only if it was)
     sync.npz        which message each frame took, and when that was (imported recordings)
     episode.json    the manifest below
 ```

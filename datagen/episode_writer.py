@@ -40,6 +40,7 @@ from codediffuser.errors import EpisodeError, ShapeError
 from codediffuser.files import atomic_folder, sha256_file
 from codediffuser.manifest import git_commit, versions
 from codediffuser.poses import make_transform, rot6d_to_matrix
+from codediffuser.schema import Document
 
 # About one step of five 320x240 cameras: one frame is read by unpacking one or two chunks.
 CHUNK_BYTES = 1 << 20
@@ -199,7 +200,12 @@ class LogWriter:
             self._add(fmt.depth_topic(name), ros.IMAGE, depth, t)
 
     def _write_static(self, instruction: str) -> None:
-        poses = {fmt.optical_frame(n): c.T_world_camera for n, c in self._cameras.items()}
+        moving = {r.name for r in self.records if r.moving}
+        poses = {
+            fmt.optical_frame(n): c.T_world_camera
+            for n, c in self._cameras.items()
+            if n not in moving
+        }
         transforms = ros.encode_transforms(poses)
         self._add(fmt.TF_STATIC, ros.TF_MESSAGE, transforms, 0, latched=True)
         self._add(fmt.INSTRUCTION, ros.STRING, ros.encode_string(instruction), 0, latched=True)
@@ -280,6 +286,7 @@ def write_episode(
     trajectory: Trajectory | None = None,
     sync: Callable[[], Mapping[str, np.ndarray]] | None = None,
     records: Sequence[CameraRecord] | None = None,
+    documents: Mapping[str, Document] | None = None,
     keep: Iterable[Path] = (),
 ) -> EpisodeManifest:
     """Write an episode folder whole or not at all; an older folder of that name is replaced.
@@ -296,6 +303,7 @@ def write_episode(
         trajectory: Simulator states, stored beside the log.
         sync: Gives, once all steps are consumed, the arrays of `sync.npz`.
         records: What each camera brings at every step; None: all of `cameras`, colour and depth.
+        documents: Further records by file name, written and listed.
         keep: Further files that are copied into the folder and not listed, such as labels.
 
     Raises:
@@ -321,6 +329,8 @@ def write_episode(
             trajectory.save(partial / fmt.STATES)
         if sync is not None:
             np.savez(partial / fmt.SYNC, **dict(sync()))  # type: ignore[arg-type]
+        for name, document in (documents or {}).items():
+            document.save(partial / name)
         manifest = _manifest(partial, facts, log, hz, image)
         manifest.save(partial / fmt.MANIFEST)
         for path in keep:

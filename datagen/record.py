@@ -9,54 +9,38 @@ import functools
 import os
 import shutil
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from codediffuser.datagen import episode_format as fmt
 from codediffuser.datagen.demo_results import DemoFailure, DemoResult, failure_path
 from codediffuser.datagen.episode import Episode
-from codediffuser.datagen.episode_format import Camera, ConditionRecord, ImageOptions
-from codediffuser.datagen.episode_writer import (
-    EpisodeFacts,
-    Pictures,
-    trajectory_steps,
-    write_episode,
+from codediffuser.datagen.episode_format import ConditionRecord
+from codediffuser.datagen.episode_writer import EpisodeFacts
+from codediffuser.datagen.physics_store import (
+    Physics,
+    forget_physics,
+    load_physics,
+    save_physics,
 )
-from codediffuser.datagen.scene import SceneSpec
-from codediffuser.datagen.task import CameraConfig, Check, get_task
-from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.datagen.views import moment_at
+from codediffuser.datagen.pictures import (
+    PictureOptions,
+    draw_and_write,
+    stored_appearance,
+    stored_recovery,
+    unlisted_files,
+)
+from codediffuser.datagen.recovery import draw_push, recovery_record
+from codediffuser.datagen.scene import SceneSpec, scene_path
+from codediffuser.datagen.task import Check, get_task
 from codediffuser.errors import ConfigError
-from codediffuser.files import TEMPORARY_PREFIX, sha256_file
+from codediffuser.files import partial_path, sha256_file
 from codediffuser.seeding import Stage, rng_for
 
 if TYPE_CHECKING:
     from codediffuser.datagen.envs import SceneEnv
-    from codediffuser.datagen.rendering import Renderer
     from codediffuser.datagen.script import ExpertRun
-
-
-@dataclass(frozen=True, slots=True)
-class PictureOptions:
-    """Which pictures an episode gets."""
-
-    width: int | None = None
-    """Pixels; None takes the task's."""
-    height: int | None = None
-    image: ImageOptions = field(default_factory=ImageOptions)
-    cameras: CameraConfig | None = None
-    """Other cameras than the task's."""
-
-    def camera_config(self, task_name: str) -> CameraConfig:
-        """Cameras of a task with these options applied."""
-        config = self.cameras or get_task(task_name).config.cameras
-        return config.model_copy(
-            update={"width": self.width or config.width, "height": self.height or config.height}
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +52,15 @@ class DemoJob:
     options: PictureOptions
     keep_labels: bool = True
     """Whether labels in an older folder of the episode come along."""
+    recovery: float = 0.0
+    """Chance that the hand is pushed once."""
+    physics_only: bool = False
+    """Whether to stop before the pictures."""
 
     @property
     def scene_file(self) -> Path:
         """The scene in its run."""
-        return self.run / "scenes" / f"{self.scene_id}.yaml"
+        return scene_path(self.run, self.scene_id)
 
     @property
     def folder(self) -> Path:
@@ -83,36 +71,31 @@ class DemoJob:
 def record_demo(job: DemoJob) -> DemoResult:
     """Let the scripted expert solve a scene and write the episode, or record why it failed.
 
-    The result depends on the scene file alone, not on what the process did before.
+    The result depends on the scene file and the job's settings alone, not on what the process did
+    before. States that an earlier physics phase has stored are drawn, not simulated again.
     """
-    from codediffuser.datagen.script import run_expert
-
-    scene = SceneSpec.load(job.scene_file)
-    if scene.scene_id != job.scene_id:
-        raise ConfigError(
-            f"{job.scene_file}: expected scene_id '{job.scene_id}' as its name says, got "
-            f"'{scene.scene_id}'; rename the file or change the entry"
+    scene = _load_scene(job)
+    physics, physics_s = load_physics(job.run, job.scene_id, job.recovery), 0.0
+    if physics is None:
+        started = time.perf_counter()
+        done = _demonstrate(scene, job.recovery)
+        physics_s = time.perf_counter() - started
+        if not done.success:
+            remove_folder(job.folder)
+            failure = _failure(job, done)
+            failure.save(failure_path(job.run, job.scene_id))
+            return DemoResult.of_failure(failure, physics_s=physics_s, rss_mb=_resident_mb())
+        physics = _physics(scene, done, job.recovery)
+        if job.physics_only:
+            save_physics(job.run, job.scene_id, physics, job.recovery)
+    if job.physics_only:
+        steps = physics.trajectory.num_steps
+        return DemoResult.of_physics(
+            job.scene_id, steps, physics_s=physics_s, rss_mb=_resident_mb()
         )
-    env = _simulator(scene.task)
-    rng = rng_for(scene.seed.root, Stage.EXPERT, scene.seed.index)
-    started = time.perf_counter()
-    done = run_expert(env, scene, rng)
-    physics_s = time.perf_counter() - started
-    if not done.success:
-        remove_folder(job.folder)
-        failure = _failure(job, done)
-        failure.save(failure_path(job.run, job.scene_id))
-        return DemoResult.of_failure(failure, physics_s=physics_s)
-    facts = EpisodeFacts(
-        id=scene.scene_id,
-        task=scene.task,
-        source="simulation",
-        instruction=scene.instruction.text,
-        success=True,
-        seed=scene.seed,
-        conditions=condition_records(done.check),
-    )
-    return _draw_and_write(job, scene, job.scene_file, done.trajectory, facts, physics_s)
+    result = _write_demo(job, scene, physics, physics_s)
+    forget_physics(job.run, job.scene_id)
+    return result
 
 
 def rerender_episode(job: DemoJob) -> DemoResult:
@@ -133,67 +116,78 @@ def rerender_episode(job: DemoJob) -> DemoResult:
         reason=manifest.reason,
         conditions=manifest.conditions,
     )
-    scene_file = job.folder / fmt.SCENE
-    return _draw_and_write(job, episode.scene, scene_file, episode.trajectory, facts, 0.0)
-
-
-def _draw_and_write(
-    job: DemoJob,
-    scene: SceneSpec,
-    scene_file: Path,
-    trajectory: Trajectory,
-    facts: EpisodeFacts,
-    physics_s: float,
-) -> DemoResult:
-    config = job.options.camera_config(scene.task)
-    renderer = _renderer(scene.task, config.model_dump_json())
-    cameras = {
-        name: Camera(K, T, config.width, config.height)
-        for name, (K, T) in renderer.parameters.items()
-    }
-    clock = _Clock()
-    started = time.perf_counter()
-    manifest = write_episode(
+    stored = stored_appearance(episode)
+    made, times = draw_and_write(
         job.folder,
+        job.options,
         facts,
-        cameras,
-        trajectory_steps(trajectory, _pictures(renderer, scene, trajectory, clock)),
-        image=job.options.image,
-        scene_file=scene_file,
-        trajectory=trajectory,
+        episode.scene,
+        episode.trajectory,
+        scene_file=job.folder / fmt.SCENE,
+        appearance=job.options.appearance(episode.scene, episode.trajectory, stored),
+        recovery=stored_recovery(episode),
+        keep=unlisted_files(job.folder),
+    )
+    return DemoResult.of_episode(
+        made, render_s=times.render_s, write_s=times.write_s, rss_mb=_resident_mb()
+    )
+
+
+def _load_scene(job: DemoJob) -> SceneSpec:
+    scene = SceneSpec.load(job.scene_file)
+    if scene.scene_id != job.scene_id:
+        raise ConfigError(
+            f"{job.scene_file}: expected scene_id '{job.scene_id}' as its name says, got "
+            f"'{scene.scene_id}'; rename the file or change the entry"
+        )
+    return scene
+
+
+def _demonstrate(scene: SceneSpec, recovery: float) -> ExpertRun:
+    from codediffuser.datagen.script import run_expert
+
+    rng = rng_for(scene.seed.root, Stage.EXPERT, scene.seed.index)
+    push = draw_push(get_task(scene.task), scene.seed, recovery)
+    return run_expert(_simulator(scene.task), scene, rng, push)
+
+
+def _physics(scene: SceneSpec, done: ExpertRun, probability: float) -> Physics:
+    record = None
+    push = draw_push(get_task(scene.task), scene.seed, probability)
+    # A script may have no move that the push fits.
+    if push is not None and done.pushed_at is not None:
+        record = recovery_record(scene.seed, probability, push, done.pushed_at)
+    return Physics(done.trajectory, condition_records(done.check), record)
+
+
+def _write_demo(job: DemoJob, scene: SceneSpec, physics: Physics, physics_s: float) -> DemoResult:
+    facts = EpisodeFacts(
+        id=scene.scene_id,
+        task=scene.task,
+        source="simulation",
+        instruction=scene.instruction.text,
+        success=True,
+        seed=scene.seed,
+        conditions=physics.conditions,
+    )
+    manifest, times = draw_and_write(
+        job.folder,
+        job.options,
+        facts,
+        scene,
+        physics.trajectory,
+        scene_file=job.scene_file,
+        appearance=job.options.appearance(scene, physics.trajectory, None),
+        recovery=physics.recovery,
         keep=unlisted_files(job.folder) if job.keep_labels else (),
     )
-    write_s = time.perf_counter() - started - clock.seconds
     return DemoResult.of_episode(
-        manifest, physics_s=physics_s, render_s=clock.seconds, write_s=write_s
+        manifest,
+        physics_s=physics_s,
+        render_s=times.render_s,
+        write_s=times.write_s,
+        rss_mb=_resident_mb(),
     )
-
-
-@dataclass(slots=True)
-class _Clock:
-    """Adds up the time of one kind of work that is interleaved with another."""
-
-    seconds: float = 0.0
-
-
-def _pictures(
-    renderer: Renderer, scene: SceneSpec, trajectory: Trajectory, clock: _Clock
-) -> Iterator[Pictures]:
-    """Draw every moment but the last, after which nothing is commanded."""
-    renderer.set_scene(scene)
-    for k in range(trajectory.num_steps):
-        started = time.perf_counter()
-        frames = renderer.render(moment_at(trajectory, k))
-        clock.seconds += time.perf_counter() - started
-        yield Pictures(
-            rgb={name: f.rgb for name, f in frames.items()},
-            depth_mm={name: depth_to_mm(f.depth_m) for name, f in frames.items()},
-        )
-
-
-def depth_to_mm(depth_m: np.ndarray) -> np.ndarray:
-    """Round depth (H, W) in metres to whole millimetres (H, W) uint16; beyond 65 m it saturates."""
-    return np.clip(np.rint(depth_m * 1000), 0, 65535).astype(np.uint16)
 
 
 def condition_records(check: Check) -> tuple[ConditionRecord, ...]:
@@ -204,16 +198,10 @@ def condition_records(check: Check) -> tuple[ConditionRecord, ...]:
     )
 
 
-def unlisted_files(folder: Path) -> list[Path]:
-    """Files of an episode folder that were not written with it, such as labels."""
-    own = {fmt.LOG, fmt.SCENE, fmt.STATES, fmt.MANIFEST}
-    return sorted(p for p in folder.glob("*") if p.is_file() and p.name not in own)
-
-
 def remove_folder(folder: Path) -> None:
     """Delete a folder so that a kill meanwhile leaves no half of it under its name."""
     if folder.exists():
-        doomed = folder.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-old-{folder.name}")
+        doomed = partial_path(folder)
         os.replace(folder, doomed)
         shutil.rmtree(doomed)
 
@@ -230,20 +218,15 @@ def _failure(job: DemoJob, done: ExpertRun) -> DemoFailure:
     )
 
 
+def _resident_mb() -> float:
+    """Memory that this process holds now, megabytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
 @functools.lru_cache(maxsize=1)
 def _simulator(task_name: str) -> SceneEnv:
     """The process's simulator; its environment is reset to every scene in full."""
-    import gymnasium
+    from codediffuser.datagen.envs import physics_env
 
-    from codediffuser.datagen.envs import env_id
-
-    env = gymnasium.make(env_id(task_name), render_backend="none", obs_mode="none")
-    return env.unwrapped  # type: ignore[return-value]
-
-
-@functools.lru_cache(maxsize=1)
-def _renderer(task_name: str, config_json: str) -> Renderer:
-    """The process's renderer for one set of cameras (as JSON, which can be compared)."""
-    from codediffuser.datagen.rendering import Renderer
-
-    return Renderer(get_task(task_name), CameraConfig.model_validate_json(config_json))
+    return physics_env(task_name)

@@ -7,21 +7,28 @@ demonstration as a recorded failure.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from codediffuser.datagen.motion import (
+    Command,
+    command_of,
+    end_command,
+    held_command,
+    interpolate,
+)
+from codediffuser.datagen.recovery import RECOVER
 from codediffuser.datagen.task import Check, Move
 from codediffuser.datagen.views import join_moments
 from codediffuser.errors import PlanningError
-from codediffuser.poses import matrix_to_quat_wxyz, matrix_to_rot6d, quat_wxyz_to_matrix
 
 if TYPE_CHECKING:
     from codediffuser.datagen.envs import SceneEnv
+    from codediffuser.datagen.recovery import Push
     from codediffuser.datagen.scene import SceneSpec
     from codediffuser.datagen.trajectory import Trajectory
-    from codediffuser.datagen.views import Moment
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +45,8 @@ class ExpertRun:
     """Conditions that do not hold, or why planning stopped; empty after success."""
     failure_phase: str
     """Phase in which it went wrong; empty after success."""
+    pushed_at: int | None = None
+    """Control step at which a push began; None when there was none."""
 
     @property
     def success(self) -> bool:
@@ -46,109 +55,97 @@ class ExpertRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
-    """What the hand was last told: the start of the next move."""
+class ControlStep:
+    """One control step of a demonstration that was carried out."""
 
-    position_m: np.ndarray
-    """(3,) float64, world."""
-    quat_wxyz: np.ndarray
-    """(4,) float64."""
-    gripper_m: float
+    phase: str
+    action: np.ndarray
+    """(10,) float32: what the expert commanded, and what is recorded."""
+    pushed: bool = False
+    """Whether the hand was led elsewhere than commanded, by a push."""
 
 
-def run_expert(env: SceneEnv, scene: SceneSpec, rng: np.random.Generator) -> ExpertRun:
+def run_expert(
+    env: SceneEnv, scene: SceneSpec, rng: np.random.Generator, push: Push | None = None
+) -> ExpertRun:
     """Reset the environment to a scene and carry out the task's script.
 
     Args:
         env: The task's environment; `render_backend="none"` suffices.
         scene: What to reset to.
         rng: Variation of the script. The same scene and generator state give the same bits.
+        push: What pushes the hand off its path once, and is then made good; None for nothing.
 
     Returns:
         The run up to its end, or up to the step at which a pose could not be reached.
     """
     env.reset(options={"scene": scene})
-    moments, actions, phases = [env.view.moment()], [], []
+    moments, steps = [env.view.moment()], []
     reason = phase = ""
     try:
-        for name, action in expert_actions(env, rng):
+        for step in expert_steps(env, rng, push):
             moments.append(env.view.moment())
-            actions.append(action)
-            phases.append(name)
+            steps.append(step)
     except PlanningError as error:
-        reason, phase = str(error), f"{phases[-1] if phases else 'start'}:unreachable"
-    trajectory = join_moments(env.view.object_ids, moments, actions)
+        reason, phase = str(error), f"{steps[-1].phase if steps else 'start'}:unreachable"
+    trajectory = join_moments(env.view.object_ids, moments, [s.action for s in steps])
     check = env.check()
     if not reason and not check.success:
         reason = check.reason
         phase = env.task.failure_phase(scene, trajectory, scene.instruction.pairs)
-    return ExpertRun(scene, trajectory, tuple(phases), check, reason, phase)
+    pushed_at = next((k for k, s in enumerate(steps) if s.pushed), None)
+    phases = tuple(s.phase for s in steps)
+    return ExpertRun(scene, trajectory, phases, check, reason, phase, pushed_at)
 
 
-def expert_actions(env: SceneEnv, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
+def expert_steps(
+    env: SceneEnv, rng: np.random.Generator, push: Push | None = None
+) -> Iterator[ControlStep]:
     """Carry out the script of the scene that `env` is reset to, step by step.
 
     Yields:
-        Phase and action (10,) float32 of each control step, after it was carried out.
+        Each control step after it was carried out.
 
     Raises:
         PlanningError: A commanded pose cannot be reached.
     """
     command = held_command(env.view.moment())
-    scene = env.scene_spec
     for move in env.task.script(env.view, rng):
-        for action in interpolate(command, move):
-            failures = env.ik_failures
-            env.control_step(action)
-            yield move.phase, action
-            if env.ik_failures > failures:
-                raise PlanningError(
-                    f"{scene.task} scene {scene.scene_id}, phase '{move.phase}', step "
-                    f"{int(env.elapsed_steps[0])}: no joint angles reach the hand pose at "
-                    f"{np.round(action[:3], 3).tolist()} m; keep the script within the arm's reach"
-                )
+        if push is not None and push.fits(move):
+            yield from _pushed_move(env, command, move, push)
+            push = None
+        else:
+            yield from _carry_out(env, move.phase, interpolate(command, move))
         command = end_command(move)
 
 
-def held_command(moment: Moment) -> Command:
-    """Command that keeps the hand where it is."""
-    return Command(moment.hand_position_m, moment.hand_quat_wxyz, float(moment.qpos[-2:].mean()))
+def _pushed_move(env: SceneEnv, command: Command, move: Move, push: Push) -> Iterator[ControlStep]:
+    """Set out on a move, be pushed off it, and go on to its end from there."""
+    planned = interpolate(command, move)
+    start = push.start(move)
+    stop = start + push.steps
+    yield from _carry_out(env, move.phase, planned[:start])
+    executed = push.displace(planned[start:stop])
+    for action, pushed in zip(planned[start:stop], executed, strict=True):
+        _control(env, move.phase, pushed)
+        yield ControlStep(move.phase, action, pushed=True)
+    back = replace(move, steps=max(move.steps - stop, push.recover_steps))
+    yield from _carry_out(env, RECOVER, interpolate(command_of(executed[-1]), back))
 
 
-def end_command(move: Move) -> Command:
-    """Command at the end of a move."""
-    T = move.T_world_hand
-    return Command(T[:3, 3], matrix_to_quat_wxyz(T[:3, :3]), move.gripper_m)
+def _carry_out(env: SceneEnv, phase: str, actions: np.ndarray) -> Iterator[ControlStep]:
+    for action in actions:
+        _control(env, phase, action)
+        yield ControlStep(phase, action)
 
 
-def interpolate(start: Command, move: Move) -> np.ndarray:
-    """Actions (steps, 10) float32 from a command to the end of a move.
-
-    Position and rotation follow a smoothstep, at rest at both ends; the gripper moves evenly.
-    The start itself is left out, the end is the last row.
-    """
-    end = end_command(move)
-    even = np.arange(1, move.steps + 1) / move.steps
-    smooth = even**2 * (3 - 2 * even)
-    position = start.position_m + smooth[:, None] * (end.position_m - start.position_m)
-    rotation = quat_wxyz_to_matrix(slerp(start.quat_wxyz, end.quat_wxyz, smooth))
-    gripper = start.gripper_m + even * (end.gripper_m - start.gripper_m)
-    actions = np.concatenate([position, matrix_to_rot6d(rotation), gripper[:, None]], axis=-1)
-    return actions.astype(np.float32)
-
-
-def slerp(start_wxyz: np.ndarray, end_wxyz: np.ndarray, fractions: np.ndarray) -> np.ndarray:
-    """Unit quaternions (N, 4) on the shorter great arc from start (4,) to end (4,).
-
-    Source: Shoemake, Animating rotation with quaternion curves, 1985.
-    """
-    cosine = float(start_wxyz @ end_wxyz)
-    if cosine < 0:
-        end_wxyz, cosine = -end_wxyz, -cosine
-    angle = float(np.arccos(min(cosine, 1.0)))
-    t = np.asarray(fractions)[:, None]
-    if angle < 1e-6:
-        mixed = (1 - t) * start_wxyz + t * end_wxyz
-    else:
-        mixed = np.sin((1 - t) * angle) * start_wxyz + np.sin(t * angle) * end_wxyz
-    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+def _control(env: SceneEnv, phase: str, action: np.ndarray) -> None:
+    failures = env.ik_failures
+    env.control_step(action)
+    if env.ik_failures > failures:
+        scene = env.scene_spec
+        raise PlanningError(
+            f"{scene.task} scene {scene.scene_id}, phase '{phase}', step "
+            f"{int(env.elapsed_steps[0])}: no joint angles reach the hand pose at "
+            f"{np.round(action[:3], 3).tolist()} m; keep the script within the arm's reach"
+        )

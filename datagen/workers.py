@@ -18,12 +18,15 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from codediffuser.errors import CodeDiffuserError, SetupError
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+Fate = Literal["", "error", "died", "hung"]
+"""How a task ended without an answer: an exception, the death of its process, or its time limit."""
 
 _log = logging.getLogger(__name__)
 _spawn = multiprocessing.get_context("spawn")
@@ -39,6 +42,8 @@ class Outcome(Generic[T, R]):
     error: str
     """Why there is no answer after all tries: trace, exit code or time limit."""
     tries: int
+    fate: Fate = ""
+    """What kind of error the last try ended with."""
 
 
 def run_tasks(
@@ -61,7 +66,7 @@ def run_tasks(
         workers: How many processes, at least 1.
         timeout_s: After this time at one task a process is killed.
         max_tries: After as many failed tries a task's outcome is an error.
-        recycle_after: Tasks after which a process is replaced, since renderers leak.
+        recycle_after: Tasks after which a process is replaced, since renderers leak; 0 for never.
 
     Raises:
         SetupError: A process cannot even start.
@@ -70,7 +75,7 @@ def run_tasks(
     waiting = deque(_Job(task) for task in tasks)
     try:
         while waiting or any(w.job for w in crew):
-            for worker in [w for w in crew if not w.job and w.tasks_done >= recycle_after]:
+            for worker in [w for w in crew if not w.job and 0 < recycle_after <= w.tasks_done]:
                 _retire(crew, worker)
             _hand_out(crew, waiting, function, workers, timeout_s)
             for worker in _wait_for_news(crew):
@@ -184,11 +189,12 @@ def _hear(
     if message is not None and message.user_error is not None:
         raise message.user_error
     job.tries += 1
+    fate: Fate
     if message is not None and not message.error:
         worker.job = None
         worker.tasks_done += 1
         return Outcome(job.task, message.value, "", job.tries)
-    error = message.error if message is not None else _fate(worker, timeout_s)
+    fate, error = ("error", message.error) if message else _fate(worker, timeout_s)
     _retire(crew, worker)
     if not worker.ready:
         raise SetupError(
@@ -199,18 +205,18 @@ def _hear(
     if job.tries < max_tries:
         waiting.append(job)
         return None
-    return Outcome(job.task, None, error, job.tries)
+    return Outcome(job.task, None, error, job.tries, fate)
 
 
-def _fate(worker: _Worker[T, R], timeout_s: float) -> str:
+def _fate(worker: _Worker[T, R], timeout_s: float) -> tuple[Fate, str]:
     """How a process that sent no answer ended."""
     if worker.deadline <= time.monotonic():
-        return f"no answer within {timeout_s:.0f} s, killed"
+        return "hung", f"no answer within {timeout_s:.0f} s, killed"
     worker.process.join(timeout=5)
     code = worker.process.exitcode
     if code is not None and code < 0:
-        return f"process killed by {signal.Signals(-code).name}"
-    return f"process ended with exit code {code}"
+        return "died", f"process killed by {signal.Signals(-code).name}"
+    return "died", f"process ended with exit code {code}"
 
 
 def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:

@@ -15,16 +15,12 @@ import numpy as np
 import pytest
 
 from codediffuser.datagen import collect
+from codediffuser.datagen.collect import CollectOptions
 from codediffuser.datagen.demo_results import DemoFailure, DemoResult, failure_path, summarize
 from codediffuser.datagen.episode import Episode, load_manifest
 from codediffuser.datagen.episode_check import check_episode
-from codediffuser.datagen.record import (
-    DemoJob,
-    PictureOptions,
-    depth_to_mm,
-    record_demo,
-    rerender_episode,
-)
+from codediffuser.datagen.pictures import PictureOptions, depth_to_mm
+from codediffuser.datagen.record import DemoJob, record_demo, rerender_episode
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
 from codediffuser.datagen.task import CameraConfig, get_task
@@ -48,7 +44,7 @@ class Stand:
         for job in jobs:
             self.given.append(job.scene_id)
             if job.scene_id in self.process_dies:
-                yield Outcome(job, None, "Traceback ...\nprocess killed by SIGSEGV", 2)
+                yield Outcome(job, None, "Traceback ...\nprocess killed by SIGSEGV", 2, "died")
             elif job.scene_id in self.expert_fails:
                 failure = DemoFailure(
                     scene_id=job.scene_id, scene_sha256=sha256_file(job.scene_file),
@@ -60,9 +56,10 @@ class Stand:
                 folder, _, _ = self.write(self.run, job.scene_id)
                 yield Outcome(job, DemoResult.of_episode(load_manifest(folder)), "", 1)
 
-    def collect(self, **options):
+    def collect(self, workers=1, **options):
         self.given.clear()
-        return {r.scene_id: r for r in collect.collect_demos(self.run, **options)}
+        results = collect.collect_demos(self.run, CollectOptions(**options), workers=workers)
+        return {r.scene_id: r for r in results}
 
 
 @pytest.fixture
@@ -129,6 +126,7 @@ def test_a_scene_whose_process_died_is_recorded_and_tried_again_next_time(stand)
     stand.process_dies = {IDS[2]}
     result = stand.collect()[IDS[2]]
     assert (result.success, result.reason) == (False, "process killed by SIGSEGV")
+    assert (result.phase, result.tries) == ("process:died", 2)
     assert failure_path(stand.run, IDS[2]).is_file()
     stand.process_dies = set()
     assert stand.collect()[IDS[2]].success
@@ -197,7 +195,7 @@ def collected(tmp_path_factory):
     """Three scenes collected without interruption by one process."""
     run = tmp_path_factory.mktemp("collected")
     write_scenes(run)
-    results = list(collect.collect_demos(run, workers=1, options=ONE_CAMERA))
+    results = list(collect.collect_demos(run, CollectOptions(pictures=ONE_CAMERA)))
     assert [r.success for r in results] == [True] * 3
     return run
 
@@ -232,7 +230,7 @@ def test_killed_twice_two_processes_end_with_the_bytes_of_one_uninterrupted(coll
     _kill_when(tmp_path, 2, lambda: any(episodes.glob("0*/episode.json")))
     whole = sorted(episodes.glob("0*"))
     assert [check_episode(folder) for folder in whole] == [[]] * len(whole)
-    results = list(collect.collect_demos(tmp_path, workers=2, options=ONE_CAMERA))
+    results = list(collect.collect_demos(tmp_path, CollectOptions(pictures=ONE_CAMERA), workers=2))
     assert {r.scene_id for r in results if r.earlier} == {folder.name for folder in whole}
     assert sorted(r.scene_id for r in results) == list(IDS)
     assert {p.name for p in episodes.iterdir()} == set(IDS)
@@ -297,7 +295,7 @@ def test_pictures_are_made_again_in_another_size_and_all_else_stays(own_copy, mo
     (folder / "labels.json").write_text("{}")
     before = Episode.open(folder)
     larger = PictureOptions(width=64, height=48, cameras=ONE_CAMERA.cameras)
-    (result,) = collect.rerender(own_copy, options=larger)
+    (result,) = collect.rerender(own_copy, CollectOptions(pictures=larger))
     assert (result.success, result.earlier) == (True, False)
     assert check_episode(folder) == []
     after = Episode.open(folder)
@@ -307,7 +305,7 @@ def test_pictures_are_made_again_in_another_size_and_all_else_stays(own_copy, mo
         assert after.manifest.files[name] == before.manifest.files[name]
     for key in ("id", "seed", "instruction", "success", "conditions", "frames"):
         assert getattr(after.manifest, key) == getattr(before.manifest, key)
-    (again,) = collect.rerender(own_copy, options=larger)
+    (again,) = collect.rerender(own_copy, CollectOptions(pictures=larger))
     assert again.earlier
 
 
@@ -318,14 +316,14 @@ def _kill_when(run, workers, is_now):
     script.write_text(
         "import sys\n"
         "from pathlib import Path\n"
-        "from codediffuser.datagen.collect import collect_demos\n"
-        "from codediffuser.datagen.record import PictureOptions\n"
+        "from codediffuser.datagen.collect import CollectOptions, collect_demos\n"
+        "from codediffuser.datagen.pictures import PictureOptions\n"
         "from codediffuser.datagen.task import CameraConfig\n"
         "if __name__ == '__main__':\n"
         f"    cameras = CameraConfig.model_validate_json({cameras!r})\n"
-        "    options = PictureOptions(cameras=cameras)\n"
+        "    options = CollectOptions(PictureOptions(cameras=cameras))\n"
         "    print('go', flush=True)\n"
-        f"    list(collect_demos(Path({str(run)!r}), workers={workers}, options=options))\n"
+        f"    list(collect_demos(Path({str(run)!r}), options, workers={workers}))\n"
     )
     process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE)
     assert process.stdout.readline() == b"go\n"

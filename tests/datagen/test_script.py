@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from codediffuser.datagen.motion import Command, end_command, interpolate, slerp
 from codediffuser.datagen.scene import SceneSpec
-from codediffuser.datagen.script import Command, end_command, interpolate, run_expert, slerp
+from codediffuser.datagen.script import run_expert
 from codediffuser.datagen.task import Move, SceneView
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.poses import (
