@@ -65,8 +65,8 @@ def ground_truth_labels(
     config = config or GroundTruthConfig()
     pick, place = scene.object(scene.target.pick), scene.place(scene.target.place)
     points = {
-        "pick": _object_points(task, scene, pick, T_world_start, points_world, config.margin_m),
-        "place": _place_points(task, scene, place, T_world_start, points_world, config.margin_m),
+        "pick": object_points(task, scene, pick, T_world_start, points_world, config.margin_m),
+        "place": place_points(task, scene, place, T_world_start, points_world, config.margin_m),
     }
 
     def label(role: Role, category: str, instance_id: str, follows: str | None) -> AttentionLabel:
@@ -77,13 +77,19 @@ def ground_truth_labels(
                 f"{category} '{instance_id}' in the cloud of frame 0, got {len(found)}; it is "
                 "hidden from the cameras or outside the workspace: add a camera or resolution"
             )
-        chosen = np.sort(farthest_point_indices(found, config.max_points))
-        return AttentionLabel(role, category, instance_id, found[chosen], follows, PROVENANCE)
+        points_kept = thin_points(found, config)
+        return AttentionLabel(role, category, instance_id, points_kept, follows, PROVENANCE)
 
     return (
         label("pick", pick.category, pick.id, pick.id),
         label("place", place.category, place.id, None),
     )
+
+
+def thin_points(points_world: np.ndarray, config: GroundTruthConfig | None = None) -> np.ndarray:
+    """Choose at most `config.max_points` of a target's points (N, 3), evenly, in their order."""
+    limit = (config or GroundTruthConfig()).max_points
+    return np.asarray(points_world[np.sort(farthest_point_indices(points_world, limit))])
 
 
 def signed_distance_m(points: np.ndarray, parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
@@ -100,7 +106,7 @@ def signed_distance_m(points: np.ndarray, parts: Sequence[trimesh.Trimesh]) -> n
     return best
 
 
-def _object_points(
+def object_points(
     task: Task,
     scene: SceneSpec,
     target: ObjectSpec,
@@ -122,7 +128,7 @@ def _object_points(
     return np.asarray(near[keep])
 
 
-def _place_points(
+def place_points(
     task: Task,
     scene: SceneSpec,
     place: PlaceSpec,

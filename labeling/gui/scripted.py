@@ -1,0 +1,177 @@
+"""A scripted operator: drives the window in a real browser, for tests, measurements and pictures.
+
+It does what a person does, mouse and keys, and knows from elsewhere which instances are meant.
+Needs Playwright and a Chromium browser; nothing else of the toolkit does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from codediffuser.errors import SetupError
+from codediffuser.labeling.gui.episode_scene import EpisodeScene
+from codediffuser.labeling.gui.planes import PicturePlane, TopPlane, project_to_screen
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+ARGUMENTS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu-sandbox", "--use-gl=angle",
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+)  # fmt: skip
+"""Software rendering: the same pictures on a machine without a graphics card."""
+
+WAIT_MS = 60_000
+
+
+def find_chromium() -> str:
+    """Path of a Chromium browser.
+
+    Raises:
+        SetupError: There is none.
+    """
+    for name in CHROMIUM:
+        if found := shutil.which(name):
+            return found
+    raise SetupError(f"no browser: expected one of {', '.join(CHROMIUM)} on the path")
+
+
+@contextlib.contextmanager
+def open_browser(width: int = 1280, height: int = 800) -> Iterator[Any]:
+    """Yield a Playwright browser context; each page of it is one tab.
+
+    Raises:
+        SetupError: Playwright or the browser is missing.
+    """
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        raise SetupError(f"{error}; install codediffuser[dev]") from None
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=find_chromium(), args=list(ARGUMENTS)
+        )  # fmt: skip
+        context = browser.new_context(viewport={"width": width, "height": height})
+        context.set_default_timeout(WAIT_MS)
+        yield context
+        browser.close()
+
+
+class ScriptedOperator:
+    """One tab of the labeling window.
+
+    Args:
+        context: What `open_browser` yields.
+        url: Address of the server.
+    """
+
+    def __init__(self, context: Any, url: str) -> None:
+        self.page = context.new_page()
+        self._url = f"{url}?fixedDpr=1"
+        self.load()
+
+    def load(self) -> None:
+        """Load the page, or load it again, and wait until an episode is shown."""
+        self.page.goto(self._url)
+        self.page.wait_for_selector("[data-saved]")
+        # viser warns of software rendering in a note that lies over the view and swallows clicks.
+        self.page.add_style_tag(content=".mantine-Notification-root { display: none }")
+
+    def text(self) -> str:
+        """Everything that the page says."""
+        return str(self.page.inner_text("body"))
+
+    def episode(self) -> str:
+        """Id of the episode that is shown."""
+        found = re.search(r"episode (\S+) ·", self.text())
+        return found.group(1) if found else ""
+
+    def press(self, key: str) -> None:
+        """Press a key of the window."""
+        self.page.keyboard.press(key)
+
+    def wait_for(self, text: str, timeout_s: float = WAIT_MS / 1000) -> None:
+        """Wait until the page says something.
+
+        Raises:
+            TimeoutError: It does not.
+        """
+        self._until(lambda: text in self.text(), f"'{text}'", timeout_s)
+
+    def wait_for_episode(self, episode: str, timeout_s: float = WAIT_MS / 1000) -> None:
+        """Wait until another episode than this is shown, with everything on disk."""
+        self._until(lambda: self.episode() not in ("", episode), "another episode", timeout_s)
+
+    def spot(self, scene: EpisodeScene, instance_id: str, view: str = "top") -> tuple[float, float]:
+        """Where in the page an instance's nearest point to its middle is, in pixels.
+
+        Args:
+            scene: The episode that is shown.
+            instance_id: Which instance.
+            view: `top`, or the camera that is shown.
+        """
+        picker = scene.top if view == "top" else scene.through(view)
+        number = [i.id for i in scene.instances].index(instance_id)
+        points = picker.points[picker.owner == number]
+        middle = points.mean(axis=0)
+        aim = points[np.argmin(np.linalg.norm(points - middle, axis=1))]
+        return self.place(scene, aim, view)
+
+    def place(self, scene: EpisodeScene, at: np.ndarray, view: str = "top") -> tuple[float, float]:
+        """Where in the page a point (2,) of a view's plane is, in pixels, in an unmoved view."""
+        box = self.canvas()
+        aspect = box["width"] / box["height"]
+        plane: TopPlane | PicturePlane
+        if view == "top":
+            assert scene.task is not None
+            workspace = scene.task.config.workspace
+            plane = TopPlane.around(
+                scene.instances, np.array(workspace.low_m), np.array(workspace.high_m)
+            )
+        else:
+            plane = PicturePlane(scene.cameras[view])
+        world = plane.to_world(np.asarray(at, dtype=np.float64)[None])[0]
+        x, y = project_to_screen(world, plane.viewpoint(aspect), aspect)
+        return box["x"] + x * box["width"], box["y"] + y * box["height"]
+
+    def canvas(self) -> dict[str, float]:
+        """Where the view is in the page, in pixels."""
+        box: dict[str, float] = self.page.locator("canvas").last.bounding_box()
+        return box
+
+    def click(self, at: tuple[float, float]) -> None:
+        """Click at a place of the page."""
+        self.page.mouse.click(*at)
+
+    def hover(self, at: tuple[float, float]) -> None:
+        """Move the mouse to a place of the page."""
+        self.page.mouse.move(*at)
+
+    def drag(self, start: tuple[float, float], stop: tuple[float, float]) -> None:
+        """Draw a box."""
+        self.page.mouse.move(*start)
+        self.page.mouse.down()
+        self.page.mouse.move(*stop, steps=5)
+        self.page.mouse.up()
+
+    def wait_for_saved(self, timeout_s: float = WAIT_MS / 1000) -> None:
+        """Wait until the window says that everything is on disk."""
+        self._until(
+            lambda: self.page.locator('[data-saved="True"]').count() > 0, "'saved'", timeout_s
+        )
+
+    def screenshot(self) -> bytes:
+        """PNG of the page."""
+        return bytes(self.page.screenshot())
+
+    def _until(self, condition: Any, what: str, timeout_s: float) -> None:
+        end = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > end:
+                raise TimeoutError(f"the page does not say {what} within {timeout_s:.0f} s")
+            time.sleep(0.03)
