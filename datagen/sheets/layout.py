@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,44 +47,72 @@ ARROW_HEAD, ARROW_BEND = 9.0, 0.15
 ToPage = Callable[[Point], Point]
 
 
+@dataclass(frozen=True, slots=True)
+class PlacedPanel:
+    """A panel with its place on a page."""
+
+    panel: Panel
+    corner: Point
+    """Where its lower left corner stands."""
+    scale: float
+    """Points per metre."""
+
+    @property
+    def far_corner(self) -> Point:
+        """Where its upper right corner stands."""
+        return self.to_page(self.panel.high_m)
+
+    def to_page(self, at_m: Point) -> Point:
+        """From metres in the panel to points on the page."""
+        low = self.panel.low_m
+        return (
+            self.corner[0] + self.scale * (at_m[0] - low[0]),
+            self.corner[1] + self.scale * (at_m[1] - low[1]),
+        )
+
+    def marks(self) -> Iterator[Mark]:
+        """Frame, shapes and the words at the sides."""
+        yield box(self.corner, self.far_corner, stroke=FRAME, width=0.8)
+        for shape in self.panel.shapes:
+            yield from shape_marks(shape, self.to_page, self.scale)
+        yield from _side_marks(self.panel.sides, self.corner, self.far_corner)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where everything of a drawing goes."""
+
+    width: float
+    height: float
+    lines: tuple[str, ...]
+    """The sentence, broken."""
+    panels: tuple[PlacedPanel, ...]
+
+
 def lay_out(drawing: Drawing) -> Page:
     """Set a drawing on a page of fixed width: title, sentence, and its panels at one scale."""
+    layout = place_panels(drawing)
+    marks = list(_header(drawing, layout))
+    for placed in layout.panels:
+        marks += placed.marks()
+    return Page(layout.width, layout.height, tuple(marks))
+
+
+def place_panels(drawing: Drawing) -> Layout:
+    """Divide the page: panels side by side at one scale, the lower ones in the middle."""
     width = NARROW if len(drawing.panels) == 1 else WIDE
     lines = wrap(drawing.sentence, 10.5, width - 2 * MARGIN)
     spans = [np.subtract(panel.high_m, panel.low_m) for panel in drawing.panels]
     scale = (width - 2 * MARGIN * len(spans)) / sum(float(span[0]) for span in spans)
     tallest = scale * max(float(span[1]) for span in spans)
     height = TITLE_HEIGHT + LINE_HEIGHT * len(lines) + tallest + 2 * MARGIN
-    marks = list(_header(drawing, lines, width, height))
+    placed = []
     left, middle = MARGIN, MARGIN + tallest / 2
     for panel, span in zip(drawing.panels, spans, strict=True):
         corner = (left, middle - scale * float(span[1]) / 2)
-        marks += panel_marks(panel, corner, scale)
+        placed.append(PlacedPanel(panel, corner, scale))
         left += scale * float(span[0]) + 2 * MARGIN
-    return Page(width, height, tuple(marks))
-
-
-def panel_marks(panel: Panel, corner: Point, scale: float) -> list[Mark]:
-    """One panel with its frame and sides.
-
-    Args:
-        panel: What to draw.
-        corner: Where its lower left corner comes to stand on the page.
-        scale: Points per metre.
-    """
-    width, height = (float(v) for v in scale * np.subtract(panel.high_m, panel.low_m))
-    high = (corner[0] + width, corner[1] + height)
-
-    def to_page(at_m: Point) -> Point:
-        return (
-            corner[0] + scale * (at_m[0] - panel.low_m[0]),
-            corner[1] + scale * (at_m[1] - panel.low_m[1]),
-        )
-
-    marks: list[Mark] = [box(corner, high, stroke=FRAME, width=0.8)]
-    for shape in panel.shapes:
-        marks += shape_marks(shape, to_page, scale)
-    return [*marks, *_side_marks(panel.sides, corner, high)]
+    return Layout(width, height, tuple(lines), tuple(placed))
 
 
 def shape_marks(shape: Shape, to_page: ToPage, scale: float) -> list[Mark]:
@@ -143,15 +172,16 @@ def wrap(text: str, size: float, width: float, bold: bool = False) -> list[str]:
     return lines
 
 
-def _header(drawing: Drawing, lines: list[str], width: float, height: float) -> Iterator[Mark]:
-    top = height - 22
+def _header(drawing: Drawing, layout: Layout) -> Iterator[Mark]:
+    top, width = layout.height - 22, layout.width
     yield Words((MARGIN, top), drawing.title, 15, INK, bold=True, align="left")
     notes = "  ·  ".join(drawing.notes)
     free = width - 2 * MARGIN - text_width(drawing.title, 15, True) - 12
     size = 8.5 * min(1.0, free / max(text_width(notes, 8.5, False), 1e-9))
     yield Words((width - MARGIN, top), notes, size, FAINT, align="right")
-    for i, words in enumerate(lines):
-        yield Words((MARGIN, height - 43 - LINE_HEIGHT * i), words, 10.5, INK, align="left")
+    for i, words in enumerate(layout.lines):
+        at = (MARGIN, layout.height - 43 - LINE_HEIGHT * i)
+        yield Words(at, words, 10.5, INK, align="left")
 
 
 def _side_marks(sides: Sides, low: Point, high: Point) -> Iterator[Mark]:

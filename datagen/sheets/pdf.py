@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import math
 from collections.abc import Iterable
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 from codediffuser.datagen.sheets.page import CAP_HEIGHT, Outline, Page, Round, Words, font_path
 
 if TYPE_CHECKING:
+    from reportlab.lib.colors import Color
     from reportlab.pdfgen.canvas import Canvas
 
 FONTS = {False: "DejaVuSans", True: "DejaVuSans-Bold"}
@@ -84,9 +86,9 @@ def _paint(canvas: Canvas, mark: Outline | Round | Words) -> None:
         _write(canvas, mark)
         return
     if mark.fill is not None:
-        canvas.setFillColor(mark.fill)
+        canvas.setFillColor(_color(mark.fill))
     if mark.stroke is not None:
-        canvas.setStrokeColor(mark.stroke)
+        canvas.setStrokeColor(_color(mark.stroke))
         canvas.setLineWidth(mark.width)
     fill, stroke = int(mark.fill is not None), int(mark.stroke is not None)
     if isinstance(mark, Round):
@@ -105,7 +107,7 @@ def _paint(canvas: Canvas, mark: Outline | Round | Words) -> None:
 
 def _write(canvas: Canvas, mark: Words) -> None:
     canvas.saveState()
-    canvas.setFillColor(mark.color)
+    canvas.setFillColor(_color(mark.color))
     canvas.setFont(FONTS[mark.bold], mark.size)
     canvas.translate(*mark.at)
     if mark.rotation_rad:
@@ -119,3 +121,11 @@ def _write(canvas: Canvas, mark: Words) -> None:
         case "right":
             canvas.drawRightString(0, drop, mark.text)
     canvas.restoreState()
+
+
+@functools.cache
+def _color(color: str) -> Color:
+    """Parsed once: reportlab's own reading of `#rrggbb` takes longer than writing a mark."""
+    from reportlab.lib.colors import HexColor
+
+    return HexColor(color)
