@@ -11,8 +11,7 @@ from codediffuser.errors import PlacementError
 
 Interval = tuple[float, float]
 
-BATCH = 32
-"""Candidates that are drawn at a time; the first batch serves nearly always."""
+FIRST_TRIES = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +74,9 @@ def _try_layout(rng: np.random.Generator, count: int, area: Area) -> tuple[np.nd
     placed = np.zeros((0, 2))
     crowded = False
     for _ in range(count):
-        for start in range(0, area.max_tries, BATCH):
-            fitting, allowed = _candidates(rng, min(BATCH, area.max_tries - start), area, placed)
+        # A few serve nearly always; all others are drawn at once where it is crowded.
+        for tries in (min(FIRST_TRIES, area.max_tries), area.max_tries - FIRST_TRIES):
+            fitting, allowed = _candidates(rng, max(0, tries), area, placed)
             crowded = crowded or allowed
             if len(fitting):
                 break

@@ -28,12 +28,13 @@ from codediffuser.datagen.instructions.components import (
     by_words,
     extremes,
 )
+from codediffuser.datagen.packing_check import SuccessConfig, check_packed, packing_failure
+from codediffuser.datagen.packing_script import ScriptConfig, packing_moves
 from codediffuser.datagen.placement import Area, sample_positions
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec, Vector3
 from codediffuser.datagen.task import (
     TASKS,
     Check,
-    Condition,
     Geometry,
     Layout,
     Move,
@@ -44,12 +45,8 @@ from codediffuser.datagen.task import (
 )
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.errors import ConfigError
-from codediffuser.poses import make_transform, matrix_to_quat_wxyz, rotation_z
 from codediffuser.registry import unknown_name
 from codediffuser.schema import Strict
-
-R_WORLD_HAND_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""The hand points down and its fingers open along world x."""
 
 
 class BatteryConfig(Strict):
@@ -66,6 +63,8 @@ class BatteryConfig(Strict):
 class VariantConfig(Strict):
     """Ranges that scenes are drawn from."""
 
+    pad_name: str = "pad"
+    """What the pad is called on its printed sheets."""
     waiting_count: tuple[int, int]
     packed_count: tuple[int, int]
     area_x_m: tuple[float, float]
@@ -92,32 +91,6 @@ class ResetImageConfig(Strict):
     cross_spacing_m: float
 
 
-class SuccessConfig(Strict):
-    """Thresholds of `check_success`."""
-
-    max_xy_m: float
-    min_upright: float
-    max_base_height_m: float
-    min_opening_m: float
-    min_hand_distance_m: float
-    max_speed_mps: float
-    max_spin_radps: float
-
-
-class ScriptConfig(Strict):
-    """Heights of the hand above the table, and how much each demonstration varies."""
-
-    travel_z_m: float
-    pregrasp_z_m: float
-    grasp_z_m: float
-    prerelease_z_m: float
-    release_z_m: float
-    home_m: Vector3
-    open_m: float
-    noise_xy_m: float
-    noise_yaw_rad: float
-
-
 class PackBatteryConfig(TaskConfig):
     """Everything in `pack_battery.yaml`."""
 
@@ -136,6 +109,9 @@ class PackBatteryConfig(TaskConfig):
             (least, most), (fewest, packed) = variant.waiting_count, variant.packed_count
             if not 1 <= least <= most:
                 raise ValueError(f"variants.{name}.waiting_count: expected 1 <= low <= high")
+            for axis, (low, high) in (("x", variant.area_x_m), ("y", variant.area_y_m)):
+                if low > high:
+                    raise ValueError(f"variants.{name}.area_{axis}_m: expected low <= high")
             if not 0 <= fewest <= packed < cells:
                 raise ValueError(
                     f"variants.{name}.packed_count: expected 0 <= low <= high < {cells}, the "
@@ -192,11 +168,11 @@ class PackBattery(Task[PackBatteryConfig]):
     ) -> ObjectSpec:
         colors = self.config.battery.colors
         color = sorted(colors)[rng.integers(len(colors))]
-        w, x, y, z = matrix_to_quat_wxyz(rotation_z(rng.uniform(-np.pi, np.pi)))
+        half_yaw = rng.uniform(-np.pi / 2, np.pi / 2)
         return ObjectSpec(
             id=f"battery_{number}", category="battery", name=f"{color} battery",
-            position_m=position_m, quat_wxyz=(float(w), float(x), float(y), float(z)),
-            color_rgb=colors[color], place=place,
+            position_m=position_m, color_rgb=colors[color], place=place,
+            quat_wxyz=(float(np.cos(half_yaw)), 0.0, 0.0, float(np.sin(half_yaw))),
         )  # fmt: skip
 
     def components(self) -> Mapping[str, Component]:
@@ -233,7 +209,7 @@ class PackBattery(Task[PackBatteryConfig]):
         margin = picture.pad_margin_m
         low = (ranges.area_x_m[0] - margin, ranges.area_y_m[0] - margin)
         high = (ranges.area_x_m[1] + margin, ranges.area_y_m[1] + margin)
-        return (Pad("pad", low, high, picture.cross_spacing_m),)
+        return (Pad(ranges.pad_name, low, high, picture.cross_spacing_m),)
 
     def draw_reset(self, scene: SceneSpec) -> drawing.Drawing:
         """Crate and pad from above, the robot at the bottom; the target pair in green."""
@@ -284,93 +260,17 @@ class PackBattery(Task[PackBatteryConfig]):
         )
 
     def script(self, view: SceneView, rng: np.random.Generator) -> Iterator[Move]:
-        """The thirteen phases of the reference, 185 control steps, from the state as it is seen."""
-        s, scene = self.config.script, view.scene
-        travel, low, closed = s.travel_z_m, s.pregrasp_z_m, 0.0
-
-        def noise(scale: float) -> np.ndarray:
-            xy = rng.uniform(-1, 1, size=2) * s.noise_xy_m * scale
-            return np.array([xy[0], xy[1], rng.uniform(-1, 1) * s.noise_yaw_rad])
-
-        def hand(xy: np.ndarray, z: float, offset: np.ndarray | None = None) -> np.ndarray:
-            dx, dy, yaw = offset if offset is not None else (0.0, 0.0, 0.0)
-            R = rotation_z(yaw) @ R_WORLD_HAND_DOWN
-            return make_transform(R, np.array([xy[0] + dx, xy[1] + dy, z]))
-
-        battery = view.T_world_object(scene.target.pick)[:2, 3]
-        slot = np.array(scene.place(scene.target.place).position_m[:2])
-        home = make_transform(R_WORLD_HAND_DOWN, np.array(s.home_m))
-
-        yield Move("approach", hand(battery, travel, noise(3)), 15, s.open_m)
-        yield Move("approach", hand(battery, low), 10, s.open_m)
-        yield Move("descend", hand(battery, s.grasp_z_m), 15, s.open_m)
-        yield Move("grasp", hand(battery, s.grasp_z_m), 10, closed)
-        yield Move("grasp", hand(battery, s.grasp_z_m), 5, closed)
-        yield Move("lift", hand(battery, travel, noise(1)), 15, closed)
-        yield Move("transport", hand(slot, travel, noise(2)), 30, closed)
-        yield Move("lower", hand(slot, s.prerelease_z_m), 15, closed)
-        yield Move("lower", hand(slot, s.release_z_m), 15, closed)
-        yield Move("release", hand(slot, s.release_z_m), 10, s.open_m)
-        yield Move("retreat", hand(slot, travel, noise(1)), 15, s.open_m)
-        yield Move("home", home, 15, s.open_m)
-        yield Move("home", home, 15, s.open_m)
+        """Thirteen moves, from the state as it is seen."""
+        return packing_moves(self.config.script, view, rng)
 
     def check_success(self, view: SceneView, pairs: Sequence[Pair]) -> Check:
         """The supplement's three criteria, and also released and at rest."""
-        judged = [Check(pair, self._conditions(view, pair)) for pair in pairs]
-        if not judged:
-            return Check(None, ())
-        return max(judged, key=lambda c: (c.success, -c.conditions[0].value))
-
-    def _conditions(self, view: SceneView, pair: Pair) -> tuple[Condition, ...]:
-        limits = self.config.success
-        T = view.T_world_object(pair[0])
-        slot = np.array(view.scene.place(pair[1]).position_m)
-        xy = float(np.linalg.norm(T[:2, 3] - slot[:2]))
-        upright, height = float(T[2, 2]), float(T[2, 3])
-        opening = view.gripper_opening_m()
-        hand_away = float(np.linalg.norm(view.T_world_hand()[:3, 3] - T[:3, 3]))
-        speed, spin = view.object_speed(pair[0])
-        released = opening > limits.min_opening_m or hand_away > limits.min_hand_distance_m
-        return (
-            Condition("xy_distance_m", xy, limits.max_xy_m, xy < limits.max_xy_m),
-            Condition("upright", upright, limits.min_upright, upright > limits.min_upright),
-            Condition(
-                "base_height_m", height, limits.max_base_height_m, height < limits.max_base_height_m
-            ),
-            Condition("released_opening_m", opening, limits.min_opening_m, released),
-            Condition("speed_mps", speed, limits.max_speed_mps, speed < limits.max_speed_mps),
-            Condition("spin_radps", spin, limits.max_spin_radps, spin < limits.max_spin_radps),
-        )
+        return check_packed(self.config.success, view, pairs)
 
     def failure_phase(self, scene: SceneSpec, trajectory: Trajectory, pairs: Sequence[Pair]) -> str:
         """Phase and what happened in it: `grasp:missed`, `transport:dropped`, `place:on_rim`."""
-        limits = self.config.success
-        positions = trajectory.object_position_m
-        rise = (positions[:, :, 2] - positions[0, :, 2]).max(axis=0)
-        waiting = [o.id for o in scene.pickable]
-        lifted = [i for i in waiting if rise[trajectory.object_ids.index(i)] > 0.03]
-        wanted = {pick for pick, _ in pairs}
-        if not lifted:
-            ends = [trajectory.T_world_object(i, -1)[2, 2] for i in waiting]
-            return "grasp:tipped" if min(ends) < 0.9 else "grasp:missed"
-        handled = max(lifted, key=lambda i: rise[trajectory.object_ids.index(i)])
-        if handled not in wanted:
-            return "grasp:wrong_object"
-        T = trajectory.T_world_object(handled, -1)
-        hand_away = np.linalg.norm(trajectory.T_world_hand(-1)[:3, 3] - T[:3, 3])
-        opening = float(trajectory.qpos[-1, 7:].mean())
-        if hand_away < limits.min_hand_distance_m and opening < limits.min_opening_m:
-            return "transport:timeout" if T[2, 3] > 0.05 else "release:not_released"
-        distances = {
-            p.id: float(np.linalg.norm(T[:2, 3] - np.array(p.position_m[:2]))) for p in scene.places
-        }
-        nearest = min(distances, key=lambda name: distances[name])
-        if distances[nearest] > self.config.crate.pitch_m:
-            return "transport:dropped"
-        if T[2, 3] >= limits.max_base_height_m or T[2, 2] <= limits.min_upright:
-            return "place:on_rim"
-        return "place:wrong_slot" if (handled, nearest) not in pairs else "release:not_at_rest"
+        pitch_m = self.config.crate.pitch_m
+        return packing_failure(self.config.success, pitch_m, scene, trajectory, pairs)
 
 
 def _count(rng: np.random.Generator, limits: tuple[int, int], asked: int | None, what: str) -> int:

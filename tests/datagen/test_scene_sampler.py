@@ -245,3 +245,31 @@ def test_counts_that_leave_no_free_slot_are_refused(tmp_path: Path) -> None:
     path.write_text(dump_yaml(raw))
     with pytest.raises(ConfigError, match=r"variants\.sim\.packed_count: expected .* < 12"):
         PackBattery.load_config(path)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_ranges_that_end_before_they_begin_are_refused(tmp_path: Path, axis: str) -> None:
+    raw = PackBattery.load_config().model_dump(mode="json", by_alias=True)
+    raw["variants"]["real"][f"area_{axis}_m"] = [0.1, -0.1]
+    path = tmp_path / "task.yaml"
+    path.write_text(dump_yaml(raw))
+    with pytest.raises(ConfigError, match=rf"variants\.real\.area_{axis}_m: expected low <= high"):
+        PackBattery.load_config(path)
+
+
+def test_the_real_variant_has_one_to_three_batteries_on_a_larger_pad(
+    pack_battery: PackBattery,
+) -> None:
+    source = SceneSource(pack_battery, SamplingSettings(root_seed=0, variant="real"))
+    drawn = [source.draw(i) for i in range(40)]
+    assert {s.ambiguity.picks for s in drawn} == {1, 2, 3}
+    assert {s.variant for s in drawn} == {"real"}
+    assert any(o.place for s in drawn for o in s.objects)
+    (pad,) = pack_battery.pads("real")
+    assert pad.name == "orange pad"
+    (smaller,) = pack_battery.pads("sim")
+    assert pad.low_m < smaller.low_m and pad.high_m > smaller.high_m
+    for scene in drawn:
+        for battery in scene.pickable:
+            x, y, _ = battery.position_m
+            assert pad.low_m[0] < x < pad.high_m[0] and pad.low_m[1] < y < pad.high_m[1]

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from codediffuser.datagen.crate import crate_slots
+from codediffuser.datagen.packing_script import R_WORLD_HAND_DOWN
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
-from codediffuser.datagen.tasks.pack_battery import R_WORLD_HAND_DOWN, PackBattery
+from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.poses import make_transform, matrix_to_quat_wxyz, rotation_z
 
