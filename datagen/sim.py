@@ -176,6 +176,8 @@ def _rigid_body(obj: ObjectSpec, geometry: Geometry) -> Any:
         )
         shape.density = geometry.density_kgm3
         body.attach(shape)
+    if not obj.fixed:
+        body.angular_damping = geometry.angular_damping_per_s
     return body
 
 
