@@ -1,4 +1,4 @@
-"""A folder of scenes: YAML and reset picture each, and one summary of the whole set."""
+"""A folder of scenes: YAML and reset pictures each; pictures and a summary of the whole set."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from codediffuser.datagen.reset_image import save_png
+from codediffuser.datagen.reset_image import save_pictures
 from codediffuser.datagen.sampling_settings import SamplingSettings
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import SceneSource
 from codediffuser.datagen.scene_summary import SUMMARY_FILE, SampleSummary, SummaryBuilder
+from codediffuser.datagen.sheets.pads_pdf import Paper
+from codediffuser.datagen.sheets.set_pictures import SetPictures
 from codediffuser.errors import ConfigError
 from codediffuser.files import remove_partials
 
@@ -23,11 +25,13 @@ def sample_scenes(
     count: int,
     *,
     pictures: bool = True,
+    paper: Paper = "A4",
     workers: int = 1,
     overwrite: bool = False,
 ) -> Iterator[Path]:
-    """Write `out/000000.yaml`, `out/000000.png`, ... and yield each YAML's path once it is there.
+    """Write `out/000000.yaml`, `.png` and `.svg`, ... and yield each YAML's path once it is there.
 
+    Pictures of the whole set (`overlay.png`, `sheet.pdf`, `pads.pdf`) follow, and
     `out/summary.json` comes last. Files are written whole or not at all. Scenes that are already
     there are kept, so running again goes on where an earlier run was stopped; `overwrite` draws
     them anew.
@@ -37,6 +41,7 @@ def sample_scenes(
         out: Folder; made when missing.
         count: How many scenes.
         pictures: Whether to draw pictures.
+        paper: What `pads.pdf` is printed on.
         workers: Processes; changes nothing but the time.
         overwrite: Draw scenes anew that are already there.
 
@@ -52,9 +57,14 @@ def sample_scenes(
     (out / SUMMARY_FILE).unlink(missing_ok=True)
     write = functools.partial(_write_scene, source, out, pictures, overwrite)
     summary = SummaryBuilder(source.task, source.settings, source.library)
+    drawn = SetPictures(source.task, source.settings.variant, source.settings.root_seed, paper)
     for path, scene in _run(write, count, workers):
         summary.add(scene)
+        if pictures:
+            drawn.add(scene)
         yield path
+    if pictures:
+        drawn.save(out)
     summary.finish().save(out / SUMMARY_FILE)
 
 
@@ -84,7 +94,7 @@ def _write_scene(
         scene = source.draw(index)
         scene.save(path)
     if pictures and not picture.exists():
-        save_png(source.task.draw_reset(scene), picture)
+        save_pictures(source.task.draw_reset(scene), picture)
     return path, scene
 
 
