@@ -6,11 +6,14 @@ number of workers nor the order nor earlier scenes change any of its bytes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from codediffuser.datagen.configuration_split import configuration_split
 from codediffuser.datagen.instructions.generator import make_instruction
 from codediffuser.datagen.instructions.phrasebook import Phrasebook, Sentence
+from codediffuser.datagen.instructions.reading import Reading
 from codediffuser.datagen.instructions.templates import TemplateLibrary, load_templates
 from codediffuser.datagen.sampling_settings import Factor, SamplingSettings
 from codediffuser.datagen.scene import (
@@ -28,9 +31,11 @@ from codediffuser.datagen.task import Layout, Task
 from codediffuser.errors import InstructionError, PlacementError
 from codediffuser.seeding import Stage, rng_for
 
-LAYOUTS_PER_SENTENCE = 25
-"""Layouts that are drawn until one fits the words; then other words are drawn."""
-SENTENCES_PER_SCENE = 40
+CHOICES_OF_WORDS = 12
+"""Fillings of a sentence that are drawn ahead; a layout takes the first of them that fits it."""
+LAYOUTS_PER_CHOICE = 20
+"""Layouts that are drawn until one fits; then other words are drawn."""
+ROUNDS = 20
 """Choices of words before a scene is given up."""
 WORDS_ADDRESS = 1_000_000
 """Attempt number of the generators that draw words; those of layouts count from 0."""
@@ -39,9 +44,9 @@ WORDS_ADDRESS = 1_000_000
 class SceneSource:
     """Draws scenes of one task by one set of settings.
 
-    For each scene a slackness kind is drawn evenly, one of its sentences evenly, and words for the
-    placeholders evenly. Then layouts are drawn until one fits, and the target evenly among the
-    pairs that the sentence allows there.
+    For each scene a slackness kind is drawn evenly, one of its sentences evenly, and a few choices
+    of words for its placeholders, each evenly. Then layouts are drawn until one fits, and the
+    target evenly among the pairs that the sentence allows there.
 
     Args:
         task: What to draw.
@@ -75,17 +80,17 @@ class SceneSource:
         if self._strata:
             asked = stratum_of(self._strata, self.settings, index)
         reason = ""
-        for number in range(SENTENCES_PER_SCENE):
-            sentence = self._draw_sentence(index, number, asked)
-            for repeat in range(LAYOUTS_PER_SENTENCE):
-                attempt = number * LAYOUTS_PER_SENTENCE + repeat
-                try:
-                    return self._try(index, attempt, sentence, asked)
-                except InstructionError as error:
-                    reason = f"{sentence.text!r}: {error}"
+        for number in range(ROUNDS):
+            sentences = self._draw_sentences(index, number, asked)
+            for repeat in range(LAYOUTS_PER_CHOICE):
+                scene, reason = self._try(
+                    index, number * LAYOUTS_PER_CHOICE + repeat, sentences, asked
+                )
+                if scene is not None:
+                    return scene
         raise InstructionError(self._explain(index, asked, reason))
 
-    def _draw_sentence(self, index: int, number: int, asked: Stratum) -> Sentence:
+    def _draw_sentences(self, index: int, number: int, asked: Stratum) -> list[Sentence]:
         """One template for all tries of a scene, so that hard ones are not rarer, but new words."""
         rng = self._rng(index, WORDS_ADDRESS)
         if asked.template is not None:
@@ -94,19 +99,36 @@ class SceneSource:
             template = self._phrasebook.draw_template(
                 rng, kind=asked.kind, picks=asked.picks, places=asked.places
             )
-        return self._phrasebook.draw_words(template, self._rng(index, WORDS_ADDRESS + 1 + number))
+        rng = self._rng(index, WORDS_ADDRESS + 1 + number)
+        count = CHOICES_OF_WORDS if template.placeholders else 1
+        return [self._phrasebook.draw_words(template, rng) for _ in range(count)]
 
-    def _try(self, index: int, attempt: int, sentence: Sentence, asked: Stratum) -> SceneSpec:
-        """One layout with a sentence, or `InstructionError` when they do not fit."""
-        rng, settings = self._rng(index, attempt), self.settings
+    def _try(
+        self, index: int, attempt: int, sentences: Sequence[Sentence], asked: Stratum
+    ) -> tuple[SceneSpec | None, str]:
+        """One layout with the first sentence that fits it, or None and why the last does not."""
+        rng = self._rng(index, attempt)
         try:
             layout = self.task.sample_layout(
-                rng, variant=settings.variant, picks=asked.picks, places=asked.places
+                rng, variant=self.settings.variant, picks=asked.picks, places=asked.places
             )
         except PlacementError as error:
             raise PlacementError(f"{self.task.name}, scene {index:06d}: {error}") from None
-        instruction = make_instruction(self.task, layout, sentence)
-        target = self._draw_target(layout, instruction, asked, rng)
+        reading, reason = Reading(self.task, layout), ""
+        for sentence in sentences:
+            try:
+                instruction = make_instruction(reading, sentence)
+                target = self._draw_target(layout, instruction, asked, rng)
+            except InstructionError as error:
+                reason = f"{sentence.text!r}: {error}"
+                continue
+            return self._scene(index, attempt, layout, instruction, target), ""
+        return None, reason
+
+    def _scene(
+        self, index: int, attempt: int, layout: Layout, instruction: InstructionSpec, target: Target
+    ) -> SceneSpec:
+        settings = self.settings
         return SceneSpec(
             task=self.task.name,
             variant=settings.variant,
@@ -151,7 +173,7 @@ class SceneSource:
         return rng_for(settings.root_seed, Stage[settings.stage], index, attempt)
 
     def _explain(self, index: int, asked: Stratum, reason: str) -> str:
-        tries = SENTENCES_PER_SCENE * LAYOUTS_PER_SENTENCE
+        tries = ROUNDS * LAYOUTS_PER_CHOICE
         remedies = []
         if self.settings.split in ("train", "val", "held_out"):
             remedies.append(

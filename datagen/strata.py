@@ -16,12 +16,12 @@ from codediffuser.datagen.task import Layout, Task
 from codediffuser.errors import ConfigError, PlacementError
 from codediffuser.seeding import Stage, rng_for
 
-SURVEY_LAYOUTS = 300
+SURVEY_LAYOUTS = 200
 """Layouts that are drawn to learn which levels a variant has."""
 ORDER_ADDRESS = 2_000_000
 """Attempt number of the generators that shuffle strata; layouts stay far below."""
 
-L = TypeVar("L")
+L = TypeVar("L", int, str)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ def _levels(asked: bool, fixed: L | None, seen: Iterable[L]) -> list[L | None]:
     """The levels of one factor: what is fixed, else all that were seen, else chance."""
     if fixed is not None or not asked:
         return [fixed]
-    return sorted(set(seen))  # type: ignore[type-var]  numbers or ids
+    return [*sorted(set(seen))]
 
 
 def _survey(task: Task, settings: SamplingSettings) -> tuple[Layout, ...]:

@@ -5,17 +5,16 @@ What sentences mean is defined in `reading.py`; both directions go through it.
 
 from __future__ import annotations
 
-from codediffuser.datagen.instructions.components import Arrangement
 from codediffuser.datagen.instructions.phrasebook import Sentence, expand_phrases
-from codediffuser.datagen.instructions.reading import allowed_pairs
+from codediffuser.datagen.instructions.reading import Reading, allowed_pairs
 from codediffuser.datagen.instructions.templates import TemplateLibrary
 from codediffuser.datagen.scene import InstructionSpec, SceneSpec
 from codediffuser.datagen.task import Task, get_task
 from codediffuser.errors import InstructionError
 
 
-def make_instruction(task: Task, scene: Arrangement, sentence: Sentence) -> InstructionSpec:
-    """Say a sentence of a scene.
+def make_instruction(reading: Reading, sentence: Sentence) -> InstructionSpec:
+    """Say a sentence of the scene that is read.
 
     Raises:
         InstructionError: The sentence does not fit the scene: its words name nothing, not clearly,
@@ -27,7 +26,7 @@ def make_instruction(task: Task, scene: Arrangement, sentence: Sentence) -> Inst
         template_id=sentence.template.id,
         template_split=sentence.template.split,
         components=dict(sentence.words),
-        pairs=allowed_pairs(task, scene, sentence.words),
+        pairs=reading.pairs(sentence.words),
     )
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from codediffuser.datagen.instructions.generator import check_instruction, make_instruction
 from codediffuser.datagen.instructions.phrasebook import Sentence
-from codediffuser.datagen.instructions.reading import allowed_pairs
+from codediffuser.datagen.instructions.reading import Reading, allowed_pairs
 from codediffuser.datagen.instructions.templates import load_templates
 from codediffuser.datagen.scene import Pair, SceneSpec, Target
 from codediffuser.datagen.task import Layout
@@ -140,13 +140,14 @@ def test_a_sentence_is_said_of_a_scene_or_refused(
     library = load_templates("pack_battery")
     template = next(t for t in library.templates if t.id == "pack_battery/slot_slackness/0")
     sentence = Sentence(template, {"battery": "left-most battery"})
-    said = make_instruction(pack_battery, make_layout([(-0.08, 0.0), (0.06, 0.0)]), sentence)
+    scene = make_layout([(-0.08, 0.0), (0.06, 0.0)])
+    said = make_instruction(Reading(pack_battery, scene), sentence)
     assert said.text == "Pick the left-most battery outside the crate into a slot."
     assert said.pairs == tuple(("battery_0", f"slot_{i:02d}") for i in range(12))
     assert (said.template_id, said.template_split) == (template.id, "seen")
     tied = make_layout([(-0.05, 0.0), (-0.05, -0.09)])
     with pytest.raises(InstructionError, match="'left-most battery' fits nothing in the scene"):
-        make_instruction(pack_battery, tied, sentence)
+        make_instruction(Reading(pack_battery, tied), sentence)
 
 
 def changed(scene: SceneSpec, **update: object) -> SceneSpec:

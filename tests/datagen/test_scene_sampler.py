@@ -131,7 +131,7 @@ def test_redraws_are_bounded_and_the_error_names_remedies(
     with pytest.raises(InstructionError) as caught:
         sample_scene(pack_battery, root_seed=0, index=0, library=library, picks=2, split="train")
     message = str(caught.value)
-    assert message.startswith("pack_battery, scene 000000: none of 1000 layouts fits its sentence")
+    assert message.startswith("pack_battery, scene 000000: none of 400 layouts fits its sentence")
     assert "is the other battery, yet 'left-most battery' means" in message
     assert "widen split train by the key 'splits' of pack_battery.yaml" in message
     assert "ask for more picks or places" in message
