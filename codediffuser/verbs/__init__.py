@@ -9,6 +9,7 @@ from codediffuser.verbs.demo import Demo
 from codediffuser.verbs.doctor import Doctor
 from codediffuser.verbs.eval import Eval
 from codediffuser.verbs.label import Label
+from codediffuser.verbs.merge import Merge
 from codediffuser.verbs.quickstart import Quickstart
 from codediffuser.verbs.sample import Sample
 from codediffuser.verbs.train import Train
@@ -20,6 +21,7 @@ VERBS: dict[str, type[Verb]] = {
     "demo": Demo,
     "label": Label,
     "convert": Convert,
+    "merge": Merge,
     "validate": Validate,
     "train": Train,
     "eval": Eval,
