@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from codediffuser.datagen.episode_format import SCENE
 from codediffuser.errors import LabelError
 from codediffuser.labeling.gui.draft import Selection
 from codediffuser.labeling.gui.episode_scene import EpisodeScene
-from codediffuser.labeling.language import Directions, Instance, ListedInstances, ground
+from codediffuser.labeling.language import (
+    Directions,
+    Instance,
+    InstanceProvider,
+    ListedInstances,
+    ground,
+    simulated_provider,
+)
 from codediffuser.registry import Registry
 
 Prelabel = Callable[[EpisodeScene], Selection]
@@ -42,21 +50,24 @@ def from_simulator(scene: EpisodeScene) -> Selection:
 
 @PRELABELS.add("language")
 def from_language(scene: EpisodeScene) -> Selection:
-    """What a program written for the instruction finds among the free instances."""
+    """What a program written for the instruction finds."""
+    return ground(scene.instruction, _provider(scene)).targets
+
+
+def _provider(scene: EpisodeScene) -> InstanceProvider:
+    """The scene file's things where there is one, for words may name more than can be chosen."""
     if scene.episode is None or scene.task is None:
         raise LabelError(scene.problem)
+    if SCENE in scene.episode.manifest.files:
+        return simulated_provider(scene.episode.scene)
     observer = scene.task.config.observer
-    listed = ListedInstances(
-        [
-            Instance(i.id, i.category, i.name, i.points_world)
-            for i in scene.instances
-            if not i.taken_by
-        ],
+    free = [i for i in scene.instances if not i.taken_by]
+    return ListedInstances(
+        [Instance(i.id, i.category, i.name, i.points_world) for i in free],
         {need.role: need.category for need in scene.needs},
         categories=[need.category for need in scene.needs],
         directions=Directions(observer.right, observer.front),
     )
-    return ground(scene.instruction, listed).targets
 
 
 @PRELABELS.add("features")

@@ -279,7 +279,7 @@ class Session:
         """Go on with the operator's unfinished draft, or begin one at the labels on disk."""
         revision = self.document.revision if self.document else 0
         earlier = self._journal.latest(episode)
-        begun = earlier is not None and (earlier[1].draft.past or earlier[1].draft.selection)
+        begun = earlier is not None and (earlier[1].draft.past or earlier[1].draft.future)
         if earlier is not None and begun and not self._passed_by(earlier[1], revision):
             goes_on: str | None = earlier[0]
             selection: Selection = ()

@@ -219,3 +219,27 @@ def test_a_save_killed_at_any_moment_leaves_readable_labels(folder: Path, tmp_pa
         # What the killed process held (a lock) does not stand in the way.
         save_labels(folder, pair(int(delay_s * 100)), expected_revision=found.revision)
     assert not list(folder.glob(".partial-*"))
+
+
+def test_labels_of_version_1_are_read_and_saved_as_the_newest(folder: Path) -> None:
+    save_labels(folder, pair(0))
+    save_labels(folder, pair(1))
+    raw = json.loads((folder / LABELS).read_text())
+    raw["schema"] = "codediffuser.labels/1"
+    for entry in (raw, *raw["history"]):
+        del entry["saved"]
+    del raw["flags"], raw["reviews"]
+    (folder / LABELS).write_text(json.dumps(raw))
+    old = load_labels(folder)
+    assert old.revision == 2 and old.document.flags == () and old.document.history[0].saved is None
+    save_labels(folder, pair(2), expected_revision=2)
+    assert json.loads((folder / LABELS).read_text())["schema"] == "codediffuser.labels/2"
+    assert [r.revision for r in load_labels(folder).document.history] == [1, 2]
+
+
+def test_labels_that_differ_only_in_their_time_are_the_same(folder: Path) -> None:
+    save_labels(folder, pair())
+    later = [replace(x, provenance=replace(BY, created_at="2027-01-01")) for x in pair()]
+    assert save_labels(folder, later).revision == 1
+    other = [replace(x, provenance=replace(BY, labeler="Bob")) for x in pair()]
+    assert save_labels(folder, other).revision == 2
