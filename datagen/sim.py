@@ -17,7 +17,7 @@ from trimesh.graph import smooth_shade
 from codediffuser.datagen.appearance import DirectionalLight, Lights, Prop
 from codediffuser.datagen.props import prop_mesh
 from codediffuser.datagen.scene import ObjectSpec, SceneSpec, Vector3
-from codediffuser.datagen.task import Geometry, Pad, Task
+from codediffuser.datagen.task import Decal, Geometry, Pad, Task
 from codediffuser.datagen.views import Moment, MomentView
 
 SIM_HZ = 250
@@ -59,7 +59,8 @@ class Shapes:
     def of(self, obj: ObjectSpec) -> Geometry:
         """The geometry of an object, by what `Task.geometry` may look at."""
         sizes = tuple(sorted(obj.shape.items()))
-        key = (obj.category, sizes, obj.fixed, obj.place is None)
+        written = (obj.label, obj.color_rgb) if obj.label is not None else None
+        key = (obj.category, sizes, obj.fixed, obj.place is None, written)
         if key not in self._known:
             self._known[key] = self._task.geometry(obj)
         return self._known[key]
@@ -77,7 +78,10 @@ def make_object(obj: ObjectSpec, geometry: Geometry, *, bodies: bool, visuals: b
     entity = sapien.Entity()
     entity.name = obj.id
     if visuals:
-        entity.add_component(_mesh_visual(geometry.visual, obj.color_rgb))
+        visual = _mesh_visual(geometry.visual, obj.color_rgb)
+        for decal in geometry.decals:
+            visual.attach(_decal_shape(decal))
+        entity.add_component(visual)
     if bodies:
         entity.add_component(_rigid_body(obj, geometry))
     entity.pose = sapien.Pose(np.array(obj.position_m), np.array(obj.quat_wxyz))
@@ -193,6 +197,24 @@ def _mesh_visual(mesh: trimesh.Trimesh, color_rgb: tuple[float, float, float]) -
     visual = sapien.render.RenderBodyComponent()
     visual.attach(shape)
     return visual
+
+
+def _decal_shape(decal: Decal) -> Any:
+    opaque = np.full((*decal.image_rgb.shape[:2], 1), 255, dtype=np.uint8)
+    image = np.concatenate([decal.image_rgb, opaque], axis=-1)
+    # Smaller copies of the picture keep fine print from flickering in small renders.
+    levels = int(np.log2(min(image.shape[:2]))) + 1
+    material = _material((1.0, 1.0, 1.0), 0.6)
+    material.base_color_texture = sapien.render.RenderTexture2D(
+        image, "R8G8B8A8Unorm", levels, "linear", "edge", True
+    )
+    return sapien.render.RenderShapeTriangleMesh(
+        vertices=np.asarray(decal.mesh.vertices, dtype=np.float32),
+        triangles=np.asarray(decal.mesh.faces, dtype=np.uint32),
+        normals=np.asarray(decal.mesh.vertex_normals, dtype=np.float32),
+        uvs=np.asarray(decal.uv, dtype=np.float32),
+        material=material,
+    )
 
 
 def _material(color_rgb: tuple[float, float, float], roughness: float) -> Any:
