@@ -135,10 +135,13 @@ class SceneEnv(BaseEnv):
 
         Args:
             seed: Of the drawn scene, when none is given.
-            options: `scene` is the `SceneSpec` to reset to; the rest is ManiSkill's.
+            options: `scene` is the `SceneSpec` to reset to, or its content as a mapping, as
+                exported trajectories hold it; the rest is ManiSkill's.
         """
         options = dict(options or {})
         given = options.pop("scene", None)
+        if isinstance(given, dict):
+            given = SceneSpec.parse(given, "reset options: scene")
         if given is not None and given.task != self.task.name:
             raise ConfigError(
                 f"scene {given.scene_id} is of task '{given.task}', this environment is of "

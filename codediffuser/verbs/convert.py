@@ -1,4 +1,4 @@
-"""`codediffuser convert`: episodes and labels to a LeRobot dataset."""
+"""`codediffuser convert`: episodes and labels to a dataset that other tools open."""
 
 from __future__ import annotations
 
@@ -13,20 +13,29 @@ from codediffuser.verbs.verb import Verb, track
 
 @dataclass(kw_only=True)
 class Convert(Verb):
-    """Export the successful, labelled episodes of RUN as a LeRobot v3 dataset.
+    """Export the successful, labelled episodes of RUN as a dataset, LeRobot v3 by default.
 
-    The clouds that are finished are kept, so a convert that was cut off continues; the dataset
-    itself appears whole.
+    Episodes that are finished are kept, so a convert that was cut off continues; the dataset itself
+    appears whole. What has not changed since the last convert is not encoded again.
 
-    Example: codediffuser convert runs/pack --profile pointcloud --workers 2
+    Example: codediffuser convert runs/pack --to lerobot --profile portable --workers 2
     """
 
     run_folder: tyro.conf.Positional[Path]
     """Run folder with labelled episodes/."""
+    to: Literal["lerobot", "zarr", "robomimic", "aloha", "maniskill", "rosbag2"] = "lerobot"
+    """lerobot: LeRobot v3. zarr: replay buffer of diffusion_policy and DP3. robomimic, aloha:
+    HDF5 of these projects. maniskill: trajectories of simulated episodes. rosbag2: recordings."""
     out: Path | None = None
-    """Folder of the dataset. Default: RUN/lerobot."""
-    profile: Literal["pointcloud"] = "pointcloud"
-    """What goes into a frame. pointcloud: a cloud of 512 points with attention, state, action."""
+    """Folder of the dataset. Default: RUN/lerobot for clouds, else RUN/exports/TO-PROFILE."""
+    profile: Literal["pointcloud", "portable", "masked-rgb"] | None = None
+    """What a frame holds beside state and action. pointcloud: 512 points with attention. portable:
+    colour, depth, masks, calibration. masked-rgb: colour where attention is. Default: pointcloud
+    for lerobot and zarr, portable for the others."""
+    codec: Literal["av1", "h264", "hevc"] = "av1"
+    """Of videos. h264 encodes fastest, av1 is smallest."""
+    crf: int = 30
+    """Quality of videos: lower is better and larger."""
     workers: int = 1
     """Processes. The same bytes for any number."""
     overwrite: bool = False
@@ -35,12 +44,17 @@ class Convert(Verb):
     def run(self) -> Path:
         """Convert and return the folder of the dataset."""
         from codediffuser.datasets.convert import choose_episodes, convert_run
+        from codediffuser.datasets.exporting.format import format_for
+        from codediffuser.datasets.exporting.video import VideoConfig
+        from codediffuser.schema import parse_model
 
-        total = len(choose_episodes(self.run_folder)[0])
+        kind, profile = format_for(self.to, self.profile)
+        video = parse_model(VideoConfig, {"codec": self.codec, "crf": self.crf}, "--crf")
+        total = len(choose_episodes(self.run_folder, needs_labels=profile != "portable")[0])
         work = convert_run(
-            self.run_folder, self.out, profile=self.profile,
+            self.run_folder, self.out, to=self.to, profile=profile, video=video,
             workers=self.workers, overwrite=self.overwrite,
         )  # fmt: skip
         for _ in track(work, "convert", total):
             pass
-        return self.out or self.run_folder / "lerobot"
+        return self.out or kind.default_out(self.run_folder, profile)

@@ -78,5 +78,6 @@ class Part:
 
 def seal(folder: Path) -> None:
     """Record the hashes of a part's files."""
-    files = sorted(path for path in folder.iterdir() if path.name != SEAL)
-    write_json(folder / SEAL, {path.name: sha256_file(path) for path in files})
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    names = [path.relative_to(folder).as_posix() for path in files]
+    write_json(folder / SEAL, {name: sha256_file(folder / name) for name in names})
