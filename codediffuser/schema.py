@@ -18,6 +18,7 @@ from ruamel.yaml.error import YAMLError
 
 from codediffuser.errors import ConfigError, SchemaVersionError
 from codediffuser.files import write_text
+from codediffuser.yaml_reader import read_own_yaml
 from codediffuser.yaml_writer import dump_yaml
 
 __all__ = ["Document", "Raw", "Strict", "dump_yaml", "load_yaml", "parse_model"]
@@ -149,6 +150,8 @@ def _parse_text(text: str, path: Path) -> Any:
             raise ConfigError(
                 f"{path}:{error.lineno}:{error.colno}: not JSON: {error.msg}"
             ) from None
+    if (own := read_own_yaml(text)) is not None:
+        return own
     try:
         return YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:
