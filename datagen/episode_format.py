@@ -82,7 +82,10 @@ class Camera:
 
 
 class ImageOptions(Strict):
-    """How colour pictures are stored. Depth is always lossless."""
+    """How colour pictures are stored. Depth is always lossless.
+
+    A recorded picture that is in this format already is kept byte for byte, at its own quality.
+    """
 
     format: Literal["jpeg", "png"] = "jpeg"
     jpeg_quality: int = Field(default=92, ge=1, le=100)

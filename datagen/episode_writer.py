@@ -48,11 +48,27 @@ NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
+class StoredPicture:
+    """A colour picture that is compressed already, and is kept byte for byte."""
+
+    data: bytes
+    """A JPEG or PNG file."""
+    format: Literal["jpeg", "png"]
+    height: int
+    width: int
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(H, W, 3), as of the picture in it."""
+        return self.height, self.width, 3
+
+
+@dataclass(frozen=True, slots=True)
 class Pictures:
     """What the cameras saw at one moment, by camera name."""
 
-    rgb: Mapping[str, np.ndarray]
-    """(H, W, 3) uint8."""
+    rgb: Mapping[str, np.ndarray | StoredPicture]
+    """(H, W, 3) uint8, or as it was recorded."""
     depth_mm: Mapping[str, np.ndarray]
     """(H, W) uint16, 0 for no reading."""
 
@@ -181,10 +197,12 @@ class LogWriter:
         self._add(fmt.COMMAND_GRIPPER, ros.FLOAT64, ros.encode_float(action[9]), t)
 
     def _add_pictures(self, record: CameraRecord, pictures: Pictures, t: int) -> None:
-        name, kinds = record.name, {"rgb": pictures.rgb}
+        name = record.name
+        kinds: list[tuple[str, Mapping[str, np.ndarray | StoredPicture] | Mapping[str, np.ndarray]]]
+        kinds = [("rgb", pictures.rgb)]
         if record.depth:
-            kinds["depth_mm"] = pictures.depth_mm
-        for kind, images in kinds.items():
+            kinds.append(("depth_mm", pictures.depth_mm))
+        for kind, images in kinds:
             if name not in images:
                 raise ShapeError(f"step {self.num_steps}: no {kind} picture of camera '{name}'")
             if images[name].shape[:2] != (record.height, record.width):
@@ -193,7 +211,11 @@ class LogWriter:
                     f"{(record.height, record.width)}, got {images[name].shape[:2]}"
                 )
         frame = fmt.optical_frame(name)
-        color = ros.encode_color(pictures.rgb[name], t, frame, self._image)
+        rgb = pictures.rgb[name]
+        if isinstance(rgb, StoredPicture):
+            color = ros.pack_color(rgb.data, rgb.format, t, frame)
+        else:
+            color = ros.encode_color(rgb, t, frame, self._image)
         self._add(fmt.color_topic(name), ros.COMPRESSED_IMAGE, color, t)
         if record.depth:
             depth = ros.encode_depth(pictures.depth_mm[name], t, frame)

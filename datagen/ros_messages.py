@@ -59,7 +59,20 @@ def encode_color(
         _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, options.jpeg_quality])
     else:
         _, data = cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    message = _TYPES[COMPRESSED_IMAGE](_header(time_ns, frame_id), options.format, data.reshape(-1))
+    return pack_color(data.tobytes(), options.format, time_ns, frame_id)
+
+
+def pack_color(data: bytes, picture_format: str, time_ns: int, frame_id: str) -> bytes:
+    """Pack a picture that is compressed already.
+
+    Args:
+        data: The whole JPEG or PNG file.
+        picture_format: `jpeg` or `png`.
+        time_ns: Time of exposure, nanoseconds.
+        frame_id: Optical frame of the camera.
+    """
+    pixels = np.frombuffer(data, np.uint8)
+    message = _TYPES[COMPRESSED_IMAGE](_header(time_ns, frame_id), picture_format, pixels)
     return _encode(message, COMPRESSED_IMAGE)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from codediffuser.datagen.episode_format import Camera, CameraRecord, MotionRecord
-from codediffuser.datagen.episode_writer import LogStep, Pictures
+from codediffuser.datagen.episode_writer import LogStep, Pictures, StoredPicture
 from codediffuser.datasets.importing.array_file import ArrayFile
 from codediffuser.datasets.importing.config import (
     CameraSource,
@@ -23,6 +23,7 @@ from codediffuser.datasets.importing.motion import (
     pose_from_columns,
 )
 from codediffuser.datasets.importing.pictures import decode_color, to_millimetres
+from codediffuser.datasets.importing.stored_pictures import stored_picture
 from codediffuser.errors import DatasetError
 
 STILL_M = 1e-6
@@ -188,12 +189,14 @@ class ArraySteps:
             },
         )
 
-    def _color(self, source: CameraSource, k: int) -> np.ndarray:
+    def _color(self, source: CameraSource, k: int) -> np.ndarray | StoredPicture:
         """Colour (H, W, 3) uint8 RGB of a bare or a compressed row."""
         column = self._columns[source.color]
         row = column.row(k)
         if isinstance(row, bytes) or np.ndim(row) == 1:
-            return decode_color(_payload(row), source.color, source.channels)
+            data = row if isinstance(row, bytes) else np.asarray(row, np.uint8).tobytes()
+            kept = stored_picture(data, self._config.image) if source.channels == "rgb" else None
+            return decode_color(data, source.color, source.channels) if kept is None else kept
         pixels = np.asarray(row)
         if pixels.ndim != 3 or 3 not in (pixels.shape[0], pixels.shape[2]):
             raise DatasetError(
@@ -206,11 +209,6 @@ class ArraySteps:
             top = 1.0 if float(pixels.max(initial=0)) <= 1.0 else 255.0
             pixels = np.clip(np.rint(pixels * (255.0 / top)), 0, 255).astype(np.uint8)
         return np.ascontiguousarray(pixels[..., ::-1] if source.channels == "bgr" else pixels)
-
-
-def _payload(row: Any) -> bytes | np.ndarray:
-    """Bytes of a compressed picture; ALOHA pads them with zeros to one length."""
-    return row if isinstance(row, bytes) else np.asarray(row).astype(np.uint8, copy=False)
 
 
 def _plane(row: Any, path: str) -> np.ndarray:

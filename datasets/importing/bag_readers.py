@@ -7,11 +7,14 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from codediffuser.datagen.episode_format import ImageOptions
+from codediffuser.datagen.episode_writer import StoredPicture
 from codediffuser.datasets.importing.config import NumberSource
 from codediffuser.datasets.importing.decoding import Decoder
-from codediffuser.datasets.importing.pictures import color_of, picture_bytes
+from codediffuser.datasets.importing.pictures import color_of, is_raw, picture_bytes
 from codediffuser.datasets.importing.recording import Recording
 from codediffuser.datasets.importing.sampler import Samples
+from codediffuser.datasets.importing.stored_pictures import stored_picture
 from codediffuser.datasets.importing.values import joints_of
 from codediffuser.datasets.importing.video import VideoReader, video_codec
 from codediffuser.errors import DatasetError
@@ -63,8 +66,16 @@ def message_reader(
     return lambda index: convert(decoder.decode(recording.read(topic, index)), topic)
 
 
-def color_reader(recording: Recording, topic: str) -> Callable[[int], np.ndarray]:
-    """A function that gives the picture (H, W, 3) uint8 of a message: still or part of a video."""
+def color_reader(
+    recording: Recording, topic: str, options: ImageOptions
+) -> Callable[[int], np.ndarray | StoredPicture]:
+    """A function that gives the picture (H, W, 3) of a message: still or part of a video.
+
+    Args:
+        recording: Stays open.
+        topic: Of pictures.
+        options: Pictures that are compressed like this already are not decoded.
+    """
     decoder = Decoder(recording.topics[topic])
 
     def decoded(index: int) -> Any:
@@ -72,13 +83,14 @@ def color_reader(recording: Recording, topic: str) -> Callable[[int], np.ndarray
 
     video: list[VideoReader] = []
 
-    def read(index: int) -> np.ndarray:
+    def read(index: int) -> np.ndarray | StoredPicture:
         if video:
             return video[0].picture(index)
         message = decoded(index)
         codec = video_codec(message)
         if codec is None:
-            return color_of(message, topic)
+            kept = None if is_raw(message) else stored_picture(picture_bytes(message), options)
+            return color_of(message, topic) if kept is None else kept
         video.append(VideoReader(lambda i: picture_bytes(decoded(i)), codec, topic))
         return video[0].picture(index)
 

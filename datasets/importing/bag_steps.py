@@ -52,7 +52,9 @@ class BagSteps:
         self._config = config
         self.notes: list[str] = []
         self._color = {
-            name: self._reader(f"camera.{name}.color", color_reader(recording, source.color))
+            name: self._reader(
+                f"camera.{name}.color", color_reader(recording, source.color, config.image)
+            )
             for name, source in config.cameras.items()
         }
         self._depth = {
