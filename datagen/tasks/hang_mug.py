@@ -1,0 +1,392 @@
+"""Pick a mug from the table and hang it by its handle on one branch of a mug tree.
+
+Randomised: where the mugs stand, their colours and shapes, how far their handles are turned.
+Success: the mug hangs below a branch that the instruction allows, with its handle around that
+branch and no other, off the table, released and at rest.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import model_validator
+
+from codediffuser.datagen import drawing
+from codediffuser.datagen.instructions.components import (
+    Component,
+    PlaceByDistance,
+    by_words,
+    extremes,
+)
+from codediffuser.datagen.instructions.mug_components import BranchAt, MugCalled
+from codediffuser.datagen.mug_hanging import HangingConfig, hang_mug_moves
+from codediffuser.datagen.mug_meshes import mug_geometry
+from codediffuser.datagen.mug_shapes import (
+    MugConfig,
+    MugShape,
+    Range,
+    draw_mug_shape,
+    mug_from_above,
+    passes_handle,
+)
+from codediffuser.datagen.mug_tree import (
+    TREE,
+    TreeConfig,
+    spoken,
+    tree_branches,
+    tree_from_above,
+    tree_geometry,
+    tree_object,
+    tree_of,
+    tree_places,
+)
+from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
+from codediffuser.datagen.task import (
+    TASKS,
+    Check,
+    Condition,
+    Geometry,
+    Layout,
+    Move,
+    Pad,
+    SceneView,
+    Task,
+    TaskConfig,
+)
+from codediffuser.datagen.trajectory import Trajectory
+from codediffuser.datagen.views import TrajectoryView
+from codediffuser.errors import ConfigError, PlacementError
+from codediffuser.poses import matrix_to_quat_wxyz, rotation_z
+from codediffuser.registry import unknown_name
+from codediffuser.schema import Strict
+
+LIFTED_M = 0.03
+"""A mug that has risen by this much was lifted."""
+
+LABEL_WIDTH_M = 0.07
+"""Room for the names of branches beside the tree, in reset pictures."""
+
+NEAR_BRANCH_M = 0.12
+"""A mug that came this near to the place of a branch was to be hung there."""
+
+
+class AreaConfig(Strict):
+    """A rectangle of the table that one mug stands in."""
+
+    x_m: Range
+    y_m: Range
+
+
+class VariantConfig(Strict):
+    """Ranges that scenes are drawn from, and the tree that stands there."""
+
+    colors: tuple[str, ...]
+    """Of `mug.colors`; no two mugs of a scene share one."""
+    areas: tuple[AreaConfig, ...]
+    """As many as there are mugs; which mug stands in which is drawn."""
+    min_distance_m: float
+    """Between the axes of two mugs."""
+    max_tries: int
+    handle_yaw_rad: float
+    """Handles point away from the observer, turned by up to this much."""
+    tree: TreeConfig
+
+    @model_validator(mode="after")
+    def _enough_colors(self) -> Self:
+        if not 1 <= len(self.areas) <= len(set(self.colors)):
+            raise ValueError(
+                f"expected at least one area and as many colors, got {len(self.areas)} areas and "
+                f"{len(set(self.colors))} colors"
+            )
+        return self
+
+
+class LanguageConfig(Strict):
+    """How far apart things must be for words to tell them apart."""
+
+    mug_margin_m: float
+    """Between an extreme mug ("left-most") and the next one, along the direction."""
+    branch_margin_m: float
+    """Between a branch's height and the highest, or its side and the middle, to count as such."""
+    branch_distance_margin_m: float
+    """Between the distances of the nearest (furthest) branch and of the next one."""
+
+
+class ResetImageConfig(Strict):
+    """How the operator's picture is drawn."""
+
+    pad_margin_m: float
+    """How far the pad reaches beyond the areas of the mugs' middles."""
+    cross_spacing_m: float
+
+
+class SuccessConfig(Strict):
+    """Thresholds of `check_success`."""
+
+    max_dx_m: float
+    """Between the mug's middle and the place on the branch, along x."""
+    max_below_branch_m: float
+    """How far the mug's middle may lie below that place."""
+    min_above_table_m: float
+    """Of the lowest point of the mug's body."""
+    min_opening_m: float
+    min_hand_distance_m: float
+    max_speed_mps: float
+    max_spin_radps: float
+
+
+class HangMugConfig(TaskConfig):
+    """Everything in `hang_mug.yaml`."""
+
+    mug: MugConfig
+    variants: dict[str, VariantConfig]
+    language: LanguageConfig
+    reset_image: ResetImageConfig
+    success: SuccessConfig
+    script: HangingConfig
+
+    @model_validator(mode="after")
+    def _colors_are_known(self) -> Self:
+        for name, variant in self.variants.items():
+            for color in variant.colors:
+                if color not in self.mug.colors:
+                    raise ValueError(
+                        f"variants.{name}.colors: "
+                        f"{unknown_name('color', color, sorted(self.mug.colors))}"
+                    )
+        return self
+
+
+@TASKS.add("hang_mug")
+class HangMug(Task[HangMugConfig]):
+    """Hang one of the mugs on one branch."""
+
+    name: ClassVar[str] = "hang_mug"
+    config_type: ClassVar[type[TaskConfig]] = HangMugConfig
+    pick_category: ClassVar[str] = "mug"
+    place_category: ClassVar[str] = "branch"
+
+    def sample_layout(
+        self,
+        rng: np.random.Generator,
+        *,
+        variant: str = "sim",
+        picks: int | None = None,
+        places: int | None = None,
+    ) -> Layout:
+        """Mugs of different colours, clear of each other, before an empty tree."""
+        ranges = self._ranges(variant)
+        branches = tree_places(ranges.tree)
+        _must_be("picks: mugs", picks, len(ranges.areas))
+        _must_be("places: branches", places, len(branches))
+        spots = self._spots(rng, ranges, f"variants.{variant}")
+        colors = [ranges.colors[i] for i in rng.permutation(len(ranges.colors))[: len(spots)]]
+        mugs = [
+            self._mug(rng, f"mug_{i}", color, xy, ranges.handle_yaw_rad)
+            for i, (color, xy) in enumerate(zip(colors, spots, strict=True))
+        ]
+        return Layout((*mugs, tree_object(ranges.tree)), branches)
+
+    def _ranges(self, variant: str) -> VariantConfig:
+        if variant not in self.config.variants:
+            raise ConfigError(unknown_name("variant", variant, list(self.config.variants)))
+        return self.config.variants[variant]
+
+    @staticmethod
+    def _spots(rng: np.random.Generator, ranges: VariantConfig, keys: str) -> np.ndarray:
+        """Positions (mugs, 2) m, each in an area of its own, in drawn order."""
+        areas = [ranges.areas[i] for i in rng.permutation(len(ranges.areas))]
+        low, high = (np.array([(a.x_m[end], a.y_m[end]) for a in areas]) for end in (0, 1))
+        for _ in range(ranges.max_tries):
+            spots = rng.uniform(low, high)
+            gaps = np.linalg.norm(spots[:, None] - spots[None], axis=-1)
+            if np.all(gaps[np.triu_indices(len(spots), 1)] >= ranges.min_distance_m):
+                return np.asarray(spots)
+        raise PlacementError(
+            f"cannot place {len(areas)} mugs at least {ranges.min_distance_m:g} m apart in "
+            f"{ranges.max_tries} tries; lower '{keys}.min_distance_m', or move '{keys}.areas' apart"
+        )
+
+    def _mug(
+        self, rng: np.random.Generator, mug_id: str, color: str, xy_m: np.ndarray, turn_rad: float
+    ) -> ObjectSpec:
+        shape = draw_mug_shape(rng, self.config.mug)
+        back = np.arctan2(self.config.observer.back[1], self.config.observer.back[0])
+        yaw = float(back + rng.uniform(-turn_rad, turn_rad))
+        w, x, y, z = matrix_to_quat_wxyz(rotation_z(yaw))
+        return ObjectSpec(
+            id=mug_id, category="mug", name=f"{color} mug",
+            position_m=(float(xy_m[0]), float(xy_m[1]), shape.height_m / 2),
+            quat_wxyz=(float(w), float(x), float(y), float(z)),
+            color_rgb=self.config.mug.colors[color], shape=shape.sizes(),
+        )  # fmt: skip
+
+    def components(self) -> Mapping[str, Component]:
+        """Mugs by colour and by where they stand; branches by side, level and distance."""
+        return self._components
+
+    @functools.cached_property
+    def _components(self) -> dict[str, Component]:
+        side, margins = self.config.observer, self.config.language
+        directions = [
+            ("left-most", side.left),
+            ("right-most", side.right),
+            ("front-most", side.front),
+            ("back-most", side.back),
+        ]
+        margin = margins.branch_margin_m
+        return by_words(
+            [
+                *extremes("mug", directions, margins.mug_margin_m),
+                *(MugCalled(f"{color} mug", "mug") for color in self.config.mug.colors),
+                *(
+                    PlaceByDistance(
+                        f"{which} branch", "branch", which, margins.branch_distance_margin_m
+                    )
+                    for which in ("furthest", "nearest")
+                ),
+                BranchAt("right-topmost branch", "branch", side.right, "top", margin),
+                BranchAt("left-topmost branch", "branch", side.left, "top", margin),
+                BranchAt("right-middle branch", "branch", side.right, "middle", margin),
+                BranchAt("left-middle branch", "branch", side.left, "middle", margin),
+                BranchAt("right branch", "branch", side.right, None, margin),
+                BranchAt("left branch", "branch", side.left, None, margin),
+                BranchAt("top branch", "branch", None, "top", margin),
+            ]
+        )
+
+    def pads(self, variant: str) -> tuple[Pad, ...]:
+        """One pad, a margin larger than the areas of the mugs' middles together."""
+        ranges, picture = self._ranges(variant), self.config.reset_image
+        margin = picture.pad_margin_m
+        low = np.min([(a.x_m[0], a.y_m[0]) for a in ranges.areas], axis=0) - margin
+        high = np.max([(a.x_m[1], a.y_m[1]) for a in ranges.areas], axis=0) + margin
+        corners = ((float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
+        return (Pad("pad", *corners, picture.cross_spacing_m),)
+
+    def draw_reset(self, scene: SceneSpec) -> drawing.Drawing:
+        """Tree and pad from above; the target mug carries the name of its branch."""
+        (pad,) = self.pads(scene.variant)
+        tree = self._ranges(scene.variant).tree
+        place = scene.target.place
+        painted = [*tree_from_above(tree, place), *drawing.pad_with_crosses(pad)]
+        for mug in (o for o in scene.objects if o.category == "mug"):
+            words = spoken(place) if mug.id == scene.target.pick else None
+            painted += mug_from_above(mug, words)
+        reach = max(branch.length_m for branch in tree.branches.values())
+        across = reach + LABEL_WIDTH_M
+        x, y, _ = tree.position_m
+        return drawing.reset_drawing(
+            scene, painted, self.config.observer,
+            low_m=(min(pad.low_m[0], x - across), min(pad.low_m[1], y - reach)),
+            high_m=(max(pad.high_m[0], x + across), max(pad.high_m[1], y + reach)),
+            notes=(f"{scene.ambiguity.picks} mugs", f"{scene.ambiguity.places} branches"),
+        )  # fmt: skip
+
+    def geometry(self, obj: ObjectSpec) -> Geometry:
+        """The tree as it stands in the scene, or a mug of the shape that is stored with it."""
+        if obj.category == TREE:
+            return tree_geometry(obj)
+        return mug_geometry(MugShape.of(obj.shape), self.config.mug)
+
+    def script(self, view: SceneView, rng: np.random.Generator) -> Iterator[Move]:
+        """Take the target mug by its sides and lead its handle over the target branch."""
+        target, tree = view.scene.target, tree_of(view.scene)
+        yield from hang_mug_moves(
+            view, rng, self.config.script,
+            pick=target.pick,
+            shape=MugShape.of(view.scene.object(target.pick).shape),
+            branch=tree_branches(tree)[target.place],
+            branch_radius_m=tree.shape["branch_radius_m"],
+        )  # fmt: skip
+
+    def check_success(self, view: SceneView, pairs: Sequence[Pair]) -> Check:
+        """The supplement's two criteria, and also: around the branch, let go, hanging still."""
+        judged = [Check(pair, self._conditions(view, pair)) for pair in pairs]
+        if not judged:
+            return Check(None, ())
+        return max(
+            judged, key=lambda c: (sum(x.holds for x in c.conditions), -c.conditions[0].value)
+        )
+
+    def _released(self, view: SceneView, mug_id: str) -> bool:
+        limits = self.config.success
+        away = view.T_world_hand()[:3, 3] - view.T_world_object(mug_id)[:3, 3]
+        return (
+            view.gripper_opening_m() > limits.min_opening_m
+            or float(np.linalg.norm(away)) > limits.min_hand_distance_m
+        )
+
+    def _conditions(self, view: SceneView, pair: Pair) -> tuple[Condition, ...]:
+        limits, (mug_id, branch_id) = self.config.success, pair
+        T = view.T_world_object(mug_id)
+        shape = MugShape.of(view.scene.object(mug_id).shape)
+        hang = tree_branches(tree_of(view.scene))[branch_id].at(
+            self._ranges(view.scene.variant).tree.hang_m
+        )
+        dx, below = abs(float(T[0, 3] - hang[0])), float(hang[2] - T[2, 3])
+        around = branches_in_handle(view, mug_id) == [branch_id]
+        above = shape.lowest_z_m(T)
+        opening = view.gripper_opening_m()
+        released = self._released(view, mug_id)
+        speed, spin = view.object_speed(mug_id)
+        return (
+            Condition("dx_m", dx, limits.max_dx_m, dx < limits.max_dx_m),
+            Condition(
+                "below_branch_m", below, limits.max_below_branch_m,
+                0 <= below <= limits.max_below_branch_m,
+            ),
+            Condition("around_branch", float(around), 1.0, around),
+            Condition(
+                "above_table_m", above, limits.min_above_table_m, above > limits.min_above_table_m
+            ),
+            Condition("released_opening_m", opening, limits.min_opening_m, released),
+            Condition("speed_mps", speed, limits.max_speed_mps, speed < limits.max_speed_mps),
+            Condition("spin_radps", spin, limits.max_spin_radps, spin < limits.max_spin_radps),
+        )  # fmt: skip
+
+    def failure_phase(self, scene: SceneSpec, trajectory: Trajectory, pairs: Sequence[Pair]) -> str:
+        """Phase and what happened in it: `grasp:missed`, `insert:missed_branch`, ..."""
+        mugs = [o.id for o in scene.pickable]
+        rows = [trajectory.object_ids.index(i) for i in mugs]
+        heights = trajectory.object_position_m[:, rows, 2]
+        rise = (heights - heights[0]).max(axis=0)
+        if rise.max() < LIFTED_M:
+            upright = min(trajectory.T_world_object(i, -1)[2, 2] for i in mugs)
+            return "grasp:tipped" if upright < 0.9 else "grasp:missed"
+        handled = mugs[int(np.argmax(rise))]
+        if handled not in {pick for pick, _ in pairs}:
+            return "grasp:wrong_object"
+        end = TrajectoryView(scene, trajectory)
+        on = branches_in_handle(end, handled)
+        if not self._released(end, handled):
+            return "release:not_released" if on else "transport:timeout"
+        if on:
+            allowed = len(on) == 1 and (handled, on[0]) in pairs
+            return "release:not_at_rest" if allowed else "place:wrong_branch"
+        views = [TrajectoryView(scene, trajectory, k) for k in range(trajectory.num_steps + 1)]
+        if any(branches_in_handle(view, handled) for view in views):
+            return "release:fell_off"
+        path = trajectory.object_position_m[:, trajectory.object_ids.index(handled)]
+        places = np.array([place.position_m for place in scene.places])
+        nearest = np.linalg.norm(path[:, None] - places, axis=-1).min()
+        return "insert:missed_branch" if nearest < NEAR_BRANCH_M else "transport:dropped"
+
+
+def branches_in_handle(view: SceneView, mug_id: str) -> list[str]:
+    """Names of the branches, used or not, whose axis runs through a mug's handle."""
+    T, shape = view.T_world_object(mug_id), MugShape.of(view.scene.object(mug_id).shape)
+    return [
+        name
+        for name, branch in tree_branches(tree_of(view.scene)).items()
+        if passes_handle(shape, T, branch.at(0.0), branch.at(branch.length_m))
+    ]
+
+
+def _must_be(what: str, asked: int | None, count: int) -> None:
+    """Check a number that the variant fixes."""
+    if asked not in (None, count):
+        raise ConfigError(f"{what}: expected {count} to {count}, got {asked}")
