@@ -15,6 +15,7 @@ from codediffuser.datagen import shapes
 from codediffuser.datagen.scene import ObjectSpec, Vector3
 from codediffuser.datagen.spine import TitleStyle, book_decal
 from codediffuser.datagen.task import Geometry
+from codediffuser.poses import matrix_to_quat_wxyz
 from codediffuser.schema import Strict
 
 if TYPE_CHECKING:
@@ -93,8 +94,6 @@ def book_object(
     place: str | None = None, fixed: bool = False,
 ) -> ObjectSpec:  # fmt: skip
     """A book of the catalogue at a pose (4, 4)."""
-    from codediffuser.poses import matrix_to_quat_wxyz
-
     book = books.catalogue[title]
     x, y, z = (float(v) for v in T_world_book[:3, 3])
     qw, qx, qy, qz = (float(v) for v in matrix_to_quat_wxyz(T_world_book[:3, :3]))

@@ -18,7 +18,7 @@ from pydantic import model_validator
 from codediffuser.datagen import drawing
 from codediffuser.datagen.book_drawing import pad_from_above, shelf_from_front
 from codediffuser.datagen.book_row import RowConfig, draw_row
-from codediffuser.datagen.book_slots import middle_x_m, row_beside, row_places, shelved_books
+from codediffuser.datagen.book_slots import row_places, shelved_books
 from codediffuser.datagen.bookshelf import (
     BooksConfig,
     ShelfConfig,
@@ -30,11 +30,11 @@ from codediffuser.datagen.bookshelf import (
 from codediffuser.datagen.instructions.book_components import Named, book_phrases
 from codediffuser.datagen.instructions.components import Component, by_words
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
-from codediffuser.datagen.stow_motion import StowMotion, StowScriptConfig
+from codediffuser.datagen.stowing_check import SuccessConfig, check_stowed, stowing_failure
+from codediffuser.datagen.stowing_script import StowingScript, StowingScriptConfig
 from codediffuser.datagen.task import (
     TASKS,
     Check,
-    Condition,
     Geometry,
     Layout,
     Move,
@@ -48,8 +48,6 @@ from codediffuser.errors import ConfigError
 from codediffuser.poses import make_transform, rotation_z
 from codediffuser.registry import unknown_name
 from codediffuser.schema import Strict
-
-PAD_TOP_M = 0.0
 
 
 class VariantConfig(Strict):
@@ -73,26 +71,6 @@ class ResetImageConfig(Strict):
     cross_spacing_m: float
 
 
-class SuccessConfig(Strict):
-    """Thresholds of `check_success`."""
-
-    min_beside_m: float
-    """Between the middles of the book and of its neighbours, along the shelf."""
-    min_upright: float
-    min_spine_out: float
-    """Cosine of the angle between the spine and the plane of the row."""
-    max_depth_error_m: float
-    """Between the book and the row, along the depth of the shelf."""
-    max_base_height_m: float
-    """Of the book above the floor of the shelf."""
-    max_row_shift_m: float
-    """How far any book of the row may have moved out of line."""
-    min_opening_m: float
-    min_hand_distance_m: float
-    max_speed_mps: float
-    max_spin_radps: float
-
-
 class StowBookConfig(TaskConfig):
     """Everything in `stow_book.yaml`."""
 
@@ -101,7 +79,7 @@ class StowBookConfig(TaskConfig):
     variants: dict[str, VariantConfig]
     reset_image: ResetImageConfig
     success: SuccessConfig
-    script: StowScriptConfig
+    script: StowingScriptConfig
 
     @model_validator(mode="after")
     def _titles_are_known(self) -> Self:
@@ -136,6 +114,7 @@ class StowBook(Task[StowBookConfig]):
     config_type: ClassVar[type[TaskConfig]] = StowBookConfig
     pick_category: ClassVar[str] = "book"
     place_category: ClassVar[str] = "slot"
+    push_phases: ClassVar[tuple[str, ...]] = ("approach", "turn")
 
     def sample_layout(
         self,
@@ -157,7 +136,7 @@ class StowBook(Task[StowBookConfig]):
             keys=f"variants.{variant}.row",
         )  # fmt: skip
         places_found, taken = row_places(row, shelf, books.depth_m, new_thickness)
-        spot = [rng.uniform(*ranges.pad_x_m), rng.uniform(*ranges.pad_y_m), PAD_TOP_M]
+        spot = [rng.uniform(*ranges.pad_x_m), rng.uniform(*ranges.pad_y_m), 0.0]
         waiting = make_transform(rotation_z(rng.uniform(*ranges.pad_yaw_rad)), np.array(spot))
         objects = [book_object(books, new_title, "book_00", waiting)]
         objects += [
@@ -233,93 +212,14 @@ class StowBook(Task[StowBookConfig]):
     def script(self, view: SceneView, rng: np.random.Generator) -> Iterator[Move]:
         """Take the book by its spine, push it in between its neighbours, press it flush."""
         config = self.config
-        return StowMotion(config.script, config.shelf, config.books, view, rng).moves()
+        return StowingScript(config.script, config.shelf, config.books, view, rng).moves()
 
     def check_success(self, view: SceneView, pairs: Sequence[Pair]) -> Check:
         """Whether the book stands where one of the pairs wants it, and all is at rest."""
-        judged = [Check(pair, self._conditions(view, pair)) for pair in pairs]
-        if not judged:
-            return Check(None, ())
-        return max(judged, key=lambda c: (c.success, c.conditions[0].value))
-
-    def _conditions(self, view: SceneView, pair: Pair) -> tuple[Condition, ...]:
-        limits, scene = self.config.success, view.scene
-        T, book = view.T_world_object(pair[0]), scene.object(pair[0])
-        beside = self._beside_m(view, pair)
-        row_y = scene.place(pair[1]).position_m[1]
-        depth = abs(float(T[1, 3]) - row_y)
-        height = abs(float(T[2, 3]) - self.config.shelf.floor_m)
-        moved = [view.T_world_object(o.id)[1, 3] for o in shelved_books(scene) if not o.fixed]
-        shift = max(abs(float(y) - row_y) for y in moved)
-        opening = view.gripper_opening_m()
-        middle = T[:3, 3] + T[:3, 2] * book.shape["height_m"] / 2
-        hand_away = float(np.linalg.norm(view.T_world_hand()[:3, 3] - middle))
-        released = opening > limits.min_opening_m or hand_away > limits.min_hand_distance_m
-        speed, spin = view.object_speed(pair[0])
-        at_least = [
-            ("beside_m", beside, limits.min_beside_m),
-            ("upright", float(T[2, 2]), limits.min_upright),
-            ("spine_out", float(T[1, 1]), limits.min_spine_out),
-        ]
-        at_most = [
-            ("depth_error_m", depth, limits.max_depth_error_m),
-            ("base_height_m", height, limits.max_base_height_m),
-            ("row_shift_m", shift, limits.max_row_shift_m),
-            ("speed_mps", speed, limits.max_speed_mps),
-            ("spin_radps", spin, limits.max_spin_radps),
-        ]
-        return (
-            *(Condition(name, value, limit, value > limit) for name, value, limit in at_least),
-            *(Condition(name, value, limit, value < limit) for name, value, limit in at_most),
-            Condition("released_opening_m", opening, limits.min_opening_m, released),
-        )
-
-    def _beside_m(self, view: SceneView, pair: Pair) -> float:
-        """How far the book stays off all that stood left of the slot, and all on its right."""
-        scene = view.scene
-        left, right = row_beside(scene, pair[1])
-
-        def now(obj: ObjectSpec) -> float:
-            T = obj.T_world_object if obj.fixed else view.T_world_object(obj.id)
-            return middle_x_m(T, obj)
-
-        x = now(scene.object(pair[0]))
-        return min(x - max(now(o) for o in left), min(now(o) for o in right) - x)
+        return check_stowed(self.config.success, self.config.shelf.floor_m, view, pairs)
 
     def failure_phase(self, scene: SceneSpec, trajectory: Trajectory, pairs: Sequence[Pair]) -> str:
         """Phase and what happened in it: `grasp:missed`, `push:blocked`, `press:not_flush`."""
-        from codediffuser.datagen.views import TrajectoryView
-
-        limits, shelf = self.config.success, self.config.shelf
-        waiting = scene.pickable[0].id
-        heights = trajectory.object_position_m[:, trajectory.object_ids.index(waiting), 2]
-        if heights.max() - heights[0] < 0.02:
-            return (
-                "grasp:tipped"
-                if trajectory.T_world_object(waiting, -1)[2, 2] < 0.9
-                else "grasp:missed"
-            )
-        view = TrajectoryView(scene, trajectory)
-        T = trajectory.T_world_object(waiting, -1)
-        row_y = scene.places[0].position_m[1]
-        inserted = float(T[1, 3]) > row_y - self.config.books.depth_m / 2
-        held = any(
-            c.name == "released_opening_m" and not c.holds for c in self._conditions(view, pairs[0])
+        return stowing_failure(
+            self.config.success, self.config.shelf.floor_m, scene, trajectory, pairs
         )
-        if held:
-            return "release:not_released" if inserted else "transport:timeout"
-        if not inserted:
-            return (
-                "push:blocked"
-                if T[2, 3] > shelf.floor_m - limits.max_base_height_m
-                else "transport:dropped"
-            )
-        check = self.check_success(view, pairs)
-        failed = [c.name for c in check.conditions if not c.holds]
-        if "beside_m" in failed:
-            return "push:wrong_slot"
-        if "row_shift_m" in failed:
-            return "push:row_disturbed"
-        if {"upright", "base_height_m", "spine_out"} & set(failed):
-            return "insert:tilted"
-        return "press:not_flush" if "depth_error_m" in failed else "release:not_at_rest"

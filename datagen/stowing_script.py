@@ -26,7 +26,7 @@ FINGERTIP_M = 0.0124
 """How far the fingers reach beyond the middle of their pads."""
 
 
-class StowScriptConfig(Strict):
+class StowingScriptConfig(Strict):
     """Ranges of what varies between demonstrations, and what does not."""
 
     hand_pitch_rad: Range
@@ -89,7 +89,7 @@ class Way:
     """Where it stays."""
 
 
-class StowMotion:
+class StowingScript:
     """One demonstration: draws its variation first, then plans move by move from what it sees.
 
     Args:
@@ -101,7 +101,7 @@ class StowMotion:
     """
 
     def __init__(
-        self, config: StowScriptConfig, shelf: ShelfConfig, books: BooksConfig, view: SceneView,
+        self, config: StowingScriptConfig, shelf: ShelfConfig, books: BooksConfig, view: SceneView,
         rng: np.random.Generator,
     ) -> None:  # fmt: skip
         self._c, self._shelf, self._books, self._view = config, shelf, books, view
