@@ -8,6 +8,7 @@ from codediffuser.verbs.convert import Convert
 from codediffuser.verbs.demo import Demo
 from codediffuser.verbs.doctor import Doctor
 from codediffuser.verbs.eval import Eval
+from codediffuser.verbs.import_ import Import
 from codediffuser.verbs.label import Label
 from codediffuser.verbs.merge import Merge
 from codediffuser.verbs.quickstart import Quickstart
@@ -19,6 +20,7 @@ from codediffuser.verbs.verb import Verb
 VERBS: dict[str, type[Verb]] = {
     "sample": Sample,
     "demo": Demo,
+    "import": Import,
     "label": Label,
     "convert": Convert,
     "merge": Merge,
