@@ -30,6 +30,11 @@ from codediffuser.errors import CodeDiffuserError, ConfigError
 MIN_LEAD_M = 0.004
 """Words that tell by distance must have at least this lead over the next candidate."""
 
+HEADINGS = (
+    "unreadable", "overlaps", "sentences that differ from their template",
+    "unsatisfied instructions", "non-unique phrases", "scenes outside of their split",
+)  # fmt: skip
+
 
 @dataclass(slots=True)
 class SceneReport:
@@ -72,12 +77,6 @@ class SetReport:
     def clean(self) -> bool:
         """Whether nothing was found and every word could be checked."""
         return not any(self.findings.values()) and not self.unknown_words
-
-
-HEADINGS = (
-    "unreadable", "overlaps", "sentences that differ from their template",
-    "unsatisfied instructions", "non-unique phrases", "scenes outside of their split",
-)  # fmt: skip
 
 
 def check_scene(path: Path, templates: Path = LIBRARY_PATH) -> SceneReport:

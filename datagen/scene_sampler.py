@@ -31,11 +31,12 @@ from codediffuser.datagen.task import Layout, Task
 from codediffuser.errors import InstructionError, PlacementError
 from codediffuser.seeding import Stage, rng_for
 
-CHOICES_OF_WORDS = 12
-"""Fillings of a sentence that are drawn ahead; a layout takes the first of them that fits it."""
-LAYOUTS_PER_CHOICE = 20
+CHOICES_OF_WORDS = 16
+"""Fillings of a sentence that are drawn ahead for each of its placeholders; a layout takes the
+first of them that fits it."""
+LAYOUTS_PER_CHOICE = 10
 """Layouts that are drawn until one fits; then other words are drawn."""
-ROUNDS = 20
+ROUNDS = 40
 """Choices of words before a scene is given up."""
 WORDS_ADDRESS = 1_000_000
 """Attempt number of the generators that draw words; those of layouts count from 0."""
@@ -100,7 +101,7 @@ class SceneSource:
                 rng, kind=asked.kind, picks=asked.picks, places=asked.places
             )
         rng = self._rng(index, WORDS_ADDRESS + 1 + number)
-        count = CHOICES_OF_WORDS if template.placeholders else 1
+        count = max(1, CHOICES_OF_WORDS * len(template.placeholders))
         return [self._phrasebook.draw_words(template, rng) for _ in range(count)]
 
     def _try(

@@ -89,7 +89,9 @@ def _levels(asked: bool, fixed: L | None, seen: Iterable[L]) -> list[L | None]:
     """The levels of one factor: what is fixed, else all that were seen, else chance."""
     if fixed is not None or not asked:
         return [fixed]
-    return [*sorted(set(seen))]
+    levels: list[L | None] = []
+    levels += sorted(set(seen))
+    return levels
 
 
 def _survey(task: Task, settings: SamplingSettings) -> tuple[Layout, ...]:

@@ -96,8 +96,9 @@ class Phrasebook:
         for placeholder in template.placeholders:
             category = placeholder.removeprefix(OTHER)
             said = {words.get(category), words.get(OTHER + category)}
-            choices = [w for w in self.phrases[category] if w not in said]
-            choices = choices or list(self.phrases[category])
+            choices = self.phrases[category]
+            if any(w in said for w in choices):
+                choices = tuple(w for w in choices if w not in said) or choices
             words[placeholder] = choices[rng.integers(len(choices))]
         return Sentence(template, words)
 
