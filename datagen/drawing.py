@@ -204,8 +204,8 @@ def pad_with_crosses(pad: Pad) -> list[Shape]:
     for x in sorted({x for x, _ in crosses}):
         shapes.append(Text((x, pad.low_m[1] - gap), _cm(x), 8, FAINT))
     for y in sorted({y for _, y in crosses}):
-        shapes.append(Text((pad.low_m[0] - gap, y), _cm(y), 8, FAINT))
-    shapes.append(Text((pad.low_m[0] - gap, pad.low_m[1] - gap), "cm", 8, FAINT))
+        shapes.append(Text((pad.low_m[0] - gap / 2, y), _cm(y), 8, FAINT, align="right"))
+    shapes.append(Text((pad.low_m[0], pad.high_m[1] + gap), "cm", 8, FAINT, align="left"))
     return shapes
 
 
@@ -250,7 +250,7 @@ def reset_page(scene: SceneSpec, panels: Sequence[Panel], notes: tuple[str, ...]
     """Frame views as the picture to reset a scene by: with its number and its sentence."""
     return Drawing(
         title=f"Episode {int(scene.scene_id)}",
-        notes=(scene.task, *notes),
+        notes=(scene.task, scene.variant, *notes),
         sentence=scene.instruction.text,
         panels=tuple(panels),
     )

@@ -51,16 +51,19 @@ class Tiling:
 
     count: int
     step: float
-    """From the start of one tile to that of the next."""
+    """From the start of one tile to that of the next. All tiles are alike, so that no cut comes
+    near the tags at the ends."""
     length: float
     """Of the sheet."""
-    window: float
-    """Of the part of the paper that shows a tile."""
+
+    @property
+    def window(self) -> float:
+        """Length of one tile with the strips that it shares."""
+        return self.step + OVERLAP_MM if self.count > 1 else self.length
 
     def extent(self, index: int) -> tuple[float, float]:
         """Where a tile begins and ends, from the sheet's low edge."""
-        start = index * self.step
-        return start, min(start + self.window, self.length)
+        return index * self.step, index * self.step + self.window
 
     def cuts(self, index: int) -> tuple[float, float]:
         """Where a tile is cut: at the sheet's edge, or in the middle of a shared strip."""
@@ -148,7 +151,7 @@ def _tiles(sheet: PadSheet, paper: Paper) -> list[Sheet]:
     short, long = PAPERS_MM[paper]
     page = pad_page(sheet)
     size = (page.width / POINTS_PER_MM, page.height / POINTS_PER_MM)
-    upright, lying = (_divide(size, paper_mm) for paper_mm in ((short, long), (long, short)))
+    upright, lying = (divide(size, paper_mm) for paper_mm in ((short, long), (long, short)))
     fewer = upright[0].count * upright[1].count <= lying[0].count * lying[1].count
     paper_mm, tilings = ((short, long), upright) if fewer else ((long, short), lying)
     across, up = tilings
@@ -159,15 +162,15 @@ def _tiles(sheet: PadSheet, paper: Paper) -> list[Sheet]:
     ]
 
 
-def _divide(
+def divide(
     size_mm: tuple[float, float], paper_mm: tuple[float, float]
 ) -> tuple[Tiling, Tiling]:  # fmt: skip
+    """How a sheet of a size is divided on a paper, across and up."""
     windows = (paper_mm[0] - 2 * MARGIN_MM, paper_mm[1] - 2 * MARGIN_MM - FOOTER_MM)
     tilings = []
     for length, window in zip(size_mm, windows, strict=True):
-        step = window - OVERLAP_MM
-        count = max(1, int(np.ceil((length - OVERLAP_MM) / step - 1e-9)))
-        tilings.append(Tiling(count, step, length, window))
+        count = max(1, int(np.ceil((length - OVERLAP_MM) / (window - OVERLAP_MM) - 1e-9)))
+        tilings.append(Tiling(count, (length - OVERLAP_MM) / count, length))
     return tilings[0], tilings[1]
 
 

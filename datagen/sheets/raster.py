@@ -181,10 +181,8 @@ class Painter:
 
 def _along_axes(corners: np.ndarray) -> bool:
     """Whether a quadrangle is a rectangle along rows and columns."""
-    on_edge = (np.abs(corners - corners.min(axis=0)) < 1e-6) | (
-        np.abs(corners - corners.max(axis=0)) < 1e-6
-    )
-    return bool(on_edge.all())
+    steps = np.abs(np.roll(corners, -1, axis=0) - corners) > 1e-6
+    return bool(np.all(steps[:, 0] != steps[:, 1]) and np.all(steps[0] != steps[1]))
 
 
 def _window(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:

@@ -224,12 +224,12 @@ class PackBattery(Task[PackBatteryConfig]):
             drawing.cell(slot_m, crate.pitch_m, crate.wall_m, drawing.TARGET_TINT),
             drawing.arrow_between(pick_m, radius, slot_m, radius),
             drawing.Disc(slot_m, radius, None, drawing.TARGET_EDGE, dashed=True),
-            drawing.Text(slot_m, "to here", 9, drawing.TARGET_EDGE, bold=True),
+            drawing.Text(slot_m, "to here", 9, drawing.TARGET_EDGE, bold=True, fit_m=1.7 * radius),
         ]
         for battery in (o for o in scene.objects if o.category == "battery"):
             at, target = battery.position_m[:2], battery.id == scene.target.pick
             painted.append(drawing.thing(at, radius, target=target))
-        painted.append(drawing.Text(pick_m, "take", 9, "#ffffff", bold=True))
+        painted.append(drawing.Text(pick_m, "take", 9, "#ffffff", True, fit_m=1.7 * radius))
         return drawing.reset_drawing(
             scene, painted, self.config.observer,
             low_m=(min(pad.low_m[0], footprint.x_m[0]), min(pad.low_m[1], footprint.y_m[0])),

@@ -13,7 +13,15 @@ import pypdfium2.raw as raw
 import pytest
 
 import codediffuser.datagen.tasks  # noqa: F401  fills the registry
-from codediffuser.datagen.sheets.pads_pdf import OVERLAP_MM, PAPERS_MM, RULER_MM, Paper, pads_pdf
+from codediffuser.datagen.sheets.pads_pdf import (
+    MARGIN_MM,
+    OVERLAP_MM,
+    PAPERS_MM,
+    RULER_MM,
+    Paper,
+    divide,
+    pads_pdf,
+)
 from codediffuser.datagen.sheets.tags import pad_sheets
 from codediffuser.datagen.task import TASKS, Task
 from codediffuser.datagen.tasks.pack_battery import PackBattery
@@ -137,15 +145,32 @@ def test_every_sheet_is_paper_with_a_ruler_of_100_mm(
         assert "100 mm" in page.text and "100 %" in page.text
 
 
-def test_neighbouring_sheets_share_a_strip_with_the_cut_in_its_middle(
+def test_tiles_are_alike_share_a_strip_and_are_cut_in_its_middle(
     pack_battery: PackBattery,
 ) -> None:
+    (sheet,) = pad_sheets("pack_battery", "sim", pack_battery.pads("sim"))
     left, right = measure(pads_pdf(pack_battery, "sim", "A4"))
-    cut_left, cut_right = cut_lines(left, 0)[1], cut_lines(right, 0)[0]
-    # Strokes that cross the cut are on both sheets, since each shows half the strip beyond it.
-    assert left.size[0] - 10 - cut_left == pytest.approx(OVERLAP_MM / 2, abs=0.01)
-    assert cut_right - 10 == pytest.approx(OVERLAP_MM / 2, abs=0.01)
+    (start, end), (start_right, end_right) = cut_lines(left, 0), cut_lines(right, 0)
+    assert start == pytest.approx(MARGIN_MM, abs=0.01)
+    assert start_right == pytest.approx(MARGIN_MM + OVERLAP_MM / 2, abs=0.01)
+    assert end - start == pytest.approx(end_right - start_right, abs=0.01)
+    width = 1000 * (sheet.high_m[0] - sheet.low_m[0])
+    assert end - start + end_right - start_right == pytest.approx(width, abs=0.01)
     assert "page 1 of 2" in left.text and "page 2 of 2" in right.text
+
+
+@pytest.mark.parametrize("paper", ["A4", "A3"])
+@pytest.mark.parametrize(("name", "variant"), PADS)
+def test_no_cut_runs_through_a_tag(name: str, variant: str, paper: Paper) -> None:
+    task = TASKS.get(name)()
+    for sheet in pad_sheets(name, variant, task.pads(variant)):
+        span_mm = 1000 * np.subtract(sheet.high_m, sheet.low_m)
+        for tilings in (divide(span_mm, PAPERS_MM[paper]), divide(span_mm, PAPERS_MM[paper][::-1])):
+            for axis, tiling in enumerate(tilings):
+                cuts = [tiling.cuts(i)[0] for i in range(1, tiling.count)]
+                for tag in sheet.tags:
+                    at = 1000 * (tag.corners_m()[:, axis] - sheet.low_m[axis])
+                    assert not any(at.min() - 2 < cut < at.max() + 2 for cut in cuts)
 
 
 def test_same_pads_same_bytes_and_no_date(pack_battery: PackBattery) -> None:
