@@ -389,4 +389,4 @@ def branches_in_handle(view: SceneView, mug_id: str) -> list[str]:
 def _must_be(what: str, asked: int | None, count: int) -> None:
     """Check a number that the variant fixes."""
     if asked not in (None, count):
-        raise ConfigError(f"{what}: expected {count} to {count}, got {asked}")
+        raise ConfigError(f"{what}: expected {count}, got {asked}")
