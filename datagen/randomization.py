@@ -31,6 +31,9 @@ from codediffuser.registry import unknown_name
 from codediffuser.schema import Document, Strict
 from codediffuser.seeding import Stage, rng_for
 
+MAX_LIGHTS = 3
+"""Directional lights that SAPIEN's minimal shader takes; it leaves out further ones."""
+
 PRESETS = Path(__file__).parent / "randomizations"
 
 
@@ -40,6 +43,15 @@ def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
     return interval
 
 
+def _few_lights(count: tuple[int, int]) -> tuple[int, int]:
+    if not 0 <= count[0] <= count[1] <= MAX_LIGHTS:
+        raise ValueError(
+            f"expected [low, high] within 0 and {MAX_LIGHTS}, which is all that the shader counts, "
+            f"got {list(count)}"
+        )
+    return count
+
+
 Interval = Annotated[tuple[float, float], AfterValidator(_ascending)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -47,7 +59,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 class LightRanges(Strict):
     """Directional lights from above, and light from everywhere."""
 
-    count: tuple[int, int]
+    count: Annotated[tuple[int, int], AfterValidator(_few_lights)]
     ambient: Interval
     brightness: Interval
     """Of all directional lights together."""

@@ -14,7 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codediffuser.datagen import episode_format as fmt
-from codediffuser.datagen.demo_results import DemoFailure, DemoResult, failure_path
+from codediffuser.datagen.demo_results import (
+    DemoFailure,
+    DemoResult,
+    failure_path,
+    resident_mb,
+)
 from codediffuser.datagen.episode import Episode
 from codediffuser.datagen.episode_format import ConditionRecord
 from codediffuser.datagen.episode_writer import EpisodeFacts
@@ -84,15 +89,13 @@ def record_demo(job: DemoJob) -> DemoResult:
             remove_folder(job.folder)
             failure = _failure(job, done)
             failure.save(failure_path(job.run, job.scene_id))
-            return DemoResult.of_failure(failure, physics_s=physics_s, rss_mb=_resident_mb())
+            return DemoResult.of_failure(failure, physics_s=physics_s, rss_mb=resident_mb())
         physics = _physics(scene, done, job.recovery)
         if job.physics_only:
             save_physics(job.run, job.scene_id, physics, job.recovery)
     if job.physics_only:
         steps = physics.trajectory.num_steps
-        return DemoResult.of_physics(
-            job.scene_id, steps, physics_s=physics_s, rss_mb=_resident_mb()
-        )
+        return DemoResult.of_physics(job.scene_id, steps, physics_s=physics_s, rss_mb=resident_mb())
     result = _write_demo(job, scene, physics, physics_s)
     forget_physics(job.run, job.scene_id)
     return result
@@ -129,7 +132,7 @@ def rerender_episode(job: DemoJob) -> DemoResult:
         keep=unlisted_files(job.folder),
     )
     return DemoResult.of_episode(
-        made, render_s=times.render_s, write_s=times.write_s, rss_mb=_resident_mb()
+        made, render_s=times.render_s, write_s=times.write_s, rss_mb=resident_mb()
     )
 
 
@@ -186,7 +189,7 @@ def _write_demo(job: DemoJob, scene: SceneSpec, physics: Physics, physics_s: flo
         physics_s=physics_s,
         render_s=times.render_s,
         write_s=times.write_s,
-        rss_mb=_resident_mb(),
+        rss_mb=resident_mb(),
     )
 
 
@@ -216,12 +219,6 @@ def _failure(job: DemoJob, done: ExpertRun) -> DemoFailure:
         conditions=condition_records(done.check),
         steps=done.trajectory.num_steps,
     )
-
-
-def _resident_mb() -> float:
-    """Memory that this process holds now, megabytes."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 @functools.lru_cache(maxsize=1)

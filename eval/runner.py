@@ -169,7 +169,8 @@ class _Worker:
 
     def _draw(self, run: RolloutRun, folder: Path) -> None:
         from codediffuser.eval.film import FPS, film
-        from codediffuser.eval.video import key_frame_strip, write_video
+        from codediffuser.eval.video import key_frame_strip
+        from codediffuser.video import write_video
 
         assert run.trajectory is not None and run.field is not None
         assert self.film_renderer is not None

@@ -1,18 +1,15 @@
-"""Frames of a rollout: views with attention tinted in and a caption; video and key-frame strip."""
+"""Frames of a rollout: views with attention tinted in and a caption; key-frame strip."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from codediffuser.errors import ShapeError
-from codediffuser.files import atomic_path
 from codediffuser.poses import apply_transform, invert_transform
 
 TILE_SIZE = (320, 240)
@@ -138,52 +135,6 @@ def _write_caption(canvas: Image.Image, caption: Caption, top: int) -> None:
 
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
-
-
-def write_video(frames: Iterable[np.ndarray], path: Path, *, fps: float) -> int:
-    """Encode H.264 mp4 that plays in every browser, whole or not at all.
-
-    Args:
-        frames: (H, W, 3) uint8, all of one even size; taken one by one.
-        path: Ends with `.mp4`.
-        fps: Frames per second.
-
-    Returns:
-        Number of frames written.
-
-    Raises:
-        ShapeError: There is no frame, or one has another or an odd size.
-    """
-    import av
-
-    with atomic_path(path) as partial:
-        count = 0
-        with av.open(str(partial), "w", options={"movflags": "+faststart"}) as container:
-            # One thread: several rollouts are encoded at once, one per worker.
-            options = {"crf": "27", "preset": "veryfast", "threads": "1"}
-            rate = Fraction(fps).limit_denominator(1000)
-            stream = container.add_stream("libx264", rate=rate, options=options)
-            stream.pix_fmt = "yuv420p"
-            for rgb in _one_size(frames):
-                stream.height, stream.width = rgb.shape[:2]
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(rgb, format="rgb24")))
-                count += 1
-            if count == 0:
-                raise ShapeError(f"{path}: expected at least one frame, got none")
-            container.mux(stream.encode(None))
-    return count
-
-
-def _one_size(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-    shape: tuple[int, ...] | None = None
-    for rgb in frames:
-        shape = shape or rgb.shape
-        if rgb.shape != shape or rgb.shape[0] % 2 or rgb.shape[1] % 2:
-            raise ShapeError(
-                f"video frames: expected one even size like {shape}, got {rgb.shape}; "
-                "H.264 with 4:2:0 colour has no odd sizes"
-            )
-        yield np.ascontiguousarray(rgb)
 
 
 def key_frame_strip(pictures: Sequence[np.ndarray], tile: tuple[int, int] = (160, 120)) -> bytes:

@@ -9,6 +9,7 @@ from codediffuser.verbs.demo import Demo
 from codediffuser.verbs.doctor import Doctor
 from codediffuser.verbs.eval import Eval
 from codediffuser.verbs.import_ import Import
+from codediffuser.verbs.inspect import Inspect
 from codediffuser.verbs.label import Label
 from codediffuser.verbs.merge import Merge
 from codediffuser.verbs.quickstart import Quickstart
@@ -25,6 +26,7 @@ VERBS: dict[str, type[Verb]] = {
     "convert": Convert,
     "merge": Merge,
     "validate": Validate,
+    "inspect": Inspect,
     "train": Train,
     "eval": Eval,
     "doctor": Doctor,

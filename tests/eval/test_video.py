@@ -14,8 +14,8 @@ from codediffuser.eval.video import (
     compose_frame,
     key_frame_strip,
     tint_attention,
-    write_video,
 )
+from codediffuser.video import write_video
 
 CAPTION = Caption("Put a battery outside the crate on a slot.", 1.0, "reach", ("a", "b"), False)
 K = np.array([[50.0, 0, 19.5], [0, 50.0, 14.5], [0, 0, 1]])
