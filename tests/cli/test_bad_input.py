@@ -70,9 +70,22 @@ def test_demo_without_scenes_names_the_verb_before_it(run: Run, tmp_path: Path) 
     assert (code, "run sample first" in said) == (2, True)
 
 
-def test_label_without_auto_says_what_to_add(run: Run, tmp_path: Path) -> None:
+def test_label_without_episodes_names_the_verb_before_it(run: Run, tmp_path: Path) -> None:
     code, said = run("label", tmp_path)
-    assert (code, "--auto" in said) == (2, True)
+    assert (code, "no episodes to label; run `codediffuser demo" in said) == (2, True)
+
+
+def test_label_for_other_machines_asks_for_a_token(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CODEDIFFUSER_LABEL_TOKEN", raising=False)
+    code, said = run("label", tmp_path, "--host", "0.0.0.0")
+    assert (code, "CODEDIFFUSER_LABEL_TOKEN" in said) == (2, True)
+
+
+def test_label_does_one_thing_at_a_time(run: Run, tmp_path: Path) -> None:
+    code, said = run("label", tmp_path, "--auto", "--report")
+    assert (code, "choose one of --auto, --report" in said) == (2, True)
 
 
 def test_convert_lists_episodes_without_labels(
@@ -152,3 +165,55 @@ def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str
         cli.run([verb, "--help"])
     assert ended.value.code == 0
     assert cli.summary(cli.VERBS[verb]).split()[0] in capsys.readouterr().out
+
+
+TEMPLATES = (
+    "schema: codediffuser.instruction_templates/1\ntasks:\n  pack_battery:\n"
+    "    components: {{battery: [{battery}], slot: [nearest slot]}}\n"
+    "    templates: {{no_slackness: ['{sentence}']}}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("battery", "sentence", "message"),
+    [
+        ("left-mots battery", "The {battery} to the {slot}.",
+         "key 'tasks.pack_battery.components.battery': Unknown phrase 'left-mots battery'. "
+         "Did you mean 'left-most battery'?"),
+        ("left-most battery", "The {batery} to the {slot}.",
+         "key 'tasks.pack_battery.templates.no_slackness.0': Unknown placeholder 'batery'. "
+         "Did you mean 'battery'?"),
+        ("left-most battery", "The {battery}.", "names {battery} and {slot}, got {battery}"),
+    ],
+)  # fmt: skip
+def test_wrong_sentences_name_file_key_and_placeholder(
+    run: Run, tmp_path: Path, battery: str, sentence: str, message: str
+) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(TEMPLATES.format(battery=battery, sentence=sentence))
+    out = tmp_path / "scenes"
+    code, said = run("sample", "pack_battery", "--templates", path, "--out", out)
+    assert code == 2
+    assert "mine.yaml" in said
+    assert message in said
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--variant", "reel"), "Unknown variant 'reel'. Did you mean 'real'? Known: sim, real."),
+        (("--picks", "9"), "picks: waiting batteries: expected 1 to 4, got 9"),
+        (("--places", "0"), "places: free slots: expected 1 to 12, got 0"),
+        (("--places", "13"), "places: free slots: expected 1 to 12, got 13"),
+        (("--stratify", "kinds"), "Unknown factor 'kinds'. Did you mean 'kind'?"),
+        (("--templates", "nowhere.yaml"), "nowhere.yaml: no such instruction_templates file"),
+    ],
+)
+def test_sampling_options_out_of_range_are_refused(
+    run: Run, tmp_path: Path, words: tuple[str, ...], message: str
+) -> None:
+    code, said = run("sample", "pack_battery", "--out", tmp_path / "scenes", *words)
+    assert code == 2
+    assert message in said
+    assert not list((tmp_path / "scenes").glob("*.yaml"))
