@@ -110,7 +110,7 @@ def _check_pictures(episode: Episode) -> Iterator[Finding]:
     for frame in episode.frames():
         for name, camera in cameras.items():
             shape = (camera.height, camera.width)
-            pictures = [frame.rgb[name]] + [frame.depth_m[name]] * camera.depth
+            pictures = [frame.rgb[name], *([frame.depth_m[name]] if camera.depth else [])]
             if any(picture.shape[:2] != shape for picture in pictures):
                 wrong.setdefault(name, frame.index)
             seen[name] = seen[name] or bool(frame.depth_m[name].any())

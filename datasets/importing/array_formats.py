@@ -54,10 +54,15 @@ class AlohaFile(_Hdf5File):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.episodes = [path.stem]
+        self.hz = int(self._file.attrs.get("hz", self.hz))
 
     def columns(self, episode: str) -> dict[str, Column]:
         """See `ArrayFile.columns`."""
         return self._columns(self._file, len(self._file["action"]))
+
+    def instruction(self, episode: str) -> str:
+        """An attribute of the file, as ours and some forks of ALOHA write it."""
+        return _told(self._file.attrs)
 
 
 class RobomimicFile(_Hdf5File):
@@ -86,10 +91,9 @@ class RobomimicFile(_Hdf5File):
 
     def instruction(self, episode: str) -> str:
         """An attribute of the demonstration, or LIBERO's of the whole file."""
-        own = self._file["data"][episode].attrs
-        for key in ("language_instruction", "instruction", "lang"):
-            if key in own:
-                return str(own[key])
+        own = _told(self._file["data"][episode].attrs)
+        if own:
+            return own
         problem = json.loads(self._file["data"].attrs.get("problem_info", "{}"))
         return str(problem.get("language_instruction", ""))
 
@@ -125,6 +129,10 @@ class ManiSkillFile(_Hdf5File):
                 return bool(np.any(facts["success"]))
         return None
 
+    def instruction(self, episode: str) -> str:
+        """An attribute of the trajectory, as ours have it."""
+        return _told(self._file[episode].attrs)
+
     def calibration(self, episode: str, group: str) -> tuple[np.ndarray, np.ndarray]:
         """From `obs/sensor_param/<camera>`; see `ArrayFile.calibration`."""
         parameters = self._file[episode].get(group)
@@ -158,6 +166,7 @@ class ReplayBufferFile(ArrayFile):
                 f"{path}: is no zarr replay buffer with data/ and meta/episode_ends ({error})"
             ) from None
         self.episodes = [str(i) for i in range(len(self._ends))]
+        self.hz = int(self._root.attrs.get("hz", self.hz))
         rows = int(self._ends[-1]) if len(self._ends) else 0
         short = [name for name, array in self._data.items() if len(array) < rows]
         for name in short:
@@ -175,6 +184,17 @@ class ReplayBufferFile(ArrayFile):
         start = int(self._ends[i - 1]) if i else 0
         length = int(self._ends[i]) - start
         return {name: Column(array, start, length) for name, array in self._data.items()}
+
+    def instruction(self, episode: str) -> str:
+        """From the group's attributes, as ours have it."""
+        told = self._root.attrs.get("instructions", ())
+        return str(told[int(episode)]) if len(told) == len(self.episodes) else ""
+
+
+def _told(attributes: Any) -> str:
+    """The instruction among the attributes of an episode; empty for none."""
+    names = ("language_instruction", "instruction", "lang")
+    return next((str(attributes[name]) for name in names if name in attributes), "")
 
 
 def open_hdf5(path: Path) -> ArrayFile:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from codediffuser.datagen.trajectory import ACTION_NAMES
 from codediffuser.datasets.importing.survey import Survey
 
 _ALOHA_ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate",
@@ -20,12 +21,30 @@ def guess_rows(survey: Survey) -> dict[str, Any]:
         "maniskill": _maniskill,
         "zarr": _zarr,
     }[survey.format](survey, paths)
-    return {"hz": survey.hz, **guess}
+    return {"hz": survey.hz, **(guess | _hand_rows(paths))}
+
+
+def _hand_rows(paths: dict[str, Any]) -> dict[str, Any]:
+    """State and action where both are rows of hand pose and opening, as our exports have them."""
+    state = next((n for n in ("observations/state", "obs/state", "state") if n in paths), "")
+    action = next((n for n in ("action", "actions") if n in paths), "")
+    rows = len(ACTION_NAMES)
+    if not _width(paths, state) == _width(paths, action) == rows:
+        return {}
+
+    def parts(topic: str) -> dict[str, Any]:
+        hand = {"topic": topic, "columns": [0, rows - 1], "layout": "xyz_rot6d"}
+        return {"hand": hand, "gripper": {"topic": topic, "columns": [rows - 1, rows]}}
+
+    return {"state": parts(state), "action": {"from": "command", **parts(action)}}
 
 
 def _aloha(survey: Survey, paths: dict[str, Any]) -> dict[str, Any]:
     folder = _HDF5_EXTENSIONS["aloha"]
     cameras = {t.name.removeprefix(folder): {"color": t.name} for t in survey.of_role("color")}
+    for name, camera in cameras.items():
+        if f"observations/depth/{name}" in paths:
+            camera["depth"] = f"observations/depth/{name}"
     joints: dict[str, Any] = {"topic": "observations/qpos"}
     command: dict[str, Any] = {"topic": "action"}
     if _width(paths, "observations/qpos") == 2 * len(_ALOHA_ARM) == _width(paths, "action"):
@@ -88,9 +107,11 @@ def _zarr(survey: Survey, paths: dict[str, Any]) -> dict[str, Any]:
     cameras: dict[str, Any] = {}
     depth = [t.name for t in survey.of_role("depth")]
     for topic in survey.of_role("color"):
-        name = "camera" if topic.name == "img" else topic.name
+        name = "camera" if topic.name == "img" else topic.name.removeprefix("img_")
         cameras[name] = {"color": topic.name}
-        if depth and len(survey.of_role("color")) == 1:
+        if topic.name.replace("img_", "depth_") in depth:
+            cameras[name]["depth"] = topic.name.replace("img_", "depth_")
+        elif depth and len(survey.of_role("color")) == 1:
             cameras[name]["depth"] = depth[0]
     state = next((n for n in ("state", "robot_eef_pose", "agent_pos") if n in paths), None)
     numbers = [t.name for t in survey.of_role("number") if t.name != "action"]

@@ -144,6 +144,8 @@ def _survey_rows(file: ArrayFile) -> Survey:
 
 def _row_role(name: str, shape: tuple[int, ...], dtype: np.dtype) -> Role:
     words = name.lower()
+    if "mask" in words or "attention" in words or "segmentation" in words:
+        return "other"
     if "depth" in words and len(shape) in (2, 3):
         return "depth"
     if len(shape) == 3 and 3 in (shape[0], shape[2]):

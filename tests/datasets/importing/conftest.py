@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -225,3 +226,9 @@ def numbers_seen(frames: Iterable[Any]) -> Iterator[int]:
     """Which picture of the camera each frame shows."""
     for frame in frames:
         yield int(frame.rgb["front"][0, 0, 0])
+
+
+@pytest.fixture
+def python() -> str:
+    """The interpreter that runs the tests."""
+    return sys.executable
