@@ -173,6 +173,10 @@ def _explain(model: type[BaseModel], error: ValidationError, where: str) -> str:
             lines.append(f"unknown key '{key}'{hint}{known_text}")
         elif item["type"] == "missing":
             lines.append(f"key '{key}' is missing")
+        elif item["type"] == "value_error" and isinstance(item["input"], dict):
+            # A rule about several keys names them itself; its input may be the whole document.
+            prefix = "" if key == "(top)" else f"key '{key}': "
+            lines.append(prefix + item["msg"].removeprefix("Value error, "))
         else:
             lines.append(f"key '{key}': {item['msg']}, got {item['input']!r}")
     return f"{where}: " + "; ".join(lines)

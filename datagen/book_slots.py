@@ -13,6 +13,9 @@ from codediffuser.datagen.scene import ObjectSpec, PlaceSpec, SceneSpec
 
 REGION_MARGIN_M = 0.002
 """How far the region of a slot keeps off the faces beside it, so that their points stay out."""
+REGION_SHARE = 0.45
+"""Of the height of its neighbours that the region of a slot takes up. Slots on both sides of a
+leaning book are wide at opposite ends, so with less than half of it regions never meet."""
 CLEARANCE_M = 0.001
 """Between a well-placed book and the standing book that it is put beside."""
 
@@ -97,13 +100,14 @@ def _taken_place(book: Standing, place_id: str, depth_m: float) -> PlaceSpec:
 def _free_place(
     slot: Slot, place_id: str, shelf: ShelfConfig, y_m: float, depth_m: float, thickness_m: float
 ) -> PlaceSpec:
-    """The wide half of a slot, lower or upper, from the lip of the shelf to its back."""
-    top = shelf.floor_m + min(slot.left.height_m, slot.right.height_m)
-    middle = (shelf.floor_m + top) / 2
+    """The wide end of a slot, lower or upper, from the lip of the shelf to its back."""
+    height = min(slot.left.height_m, slot.right.height_m)
+    top = shelf.floor_m + height
     corners = slot.corners_m((shelf.floor_m, top))
     wide_below = corners[1, 0] - corners[0, 0] > corners[2, 0] - corners[3, 0]
     x_low, x_high = corners[:2, 0] if wide_below else corners[:1:-1, 0]
-    z_low, z_high = (shelf.floor_m, middle) if wide_below else (middle, top)
+    reach = height * REGION_SHARE
+    z_low, z_high = (shelf.floor_m, shelf.floor_m + reach) if wide_below else (top - reach, top)
     low = np.array([x_low + REGION_MARGIN_M, y_m - depth_m / 2 - shelf.lip_m, z_low - 0.004])
     high = np.array([x_high - REGION_MARGIN_M, y_m + depth_m / 2 + 0.006, z_high])
     x = slot.new_book_x_m(thickness_m, shelf.floor_m, top)
