@@ -7,10 +7,9 @@ Needs Playwright and a Chromium browser; nothing else of the toolkit does.
 from __future__ import annotations
 
 import contextlib
-import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -88,24 +87,35 @@ class ScriptedOperator:
 
     def episode(self) -> str:
         """Id of the episode that is shown."""
-        found = re.search(r"episode (\S+) ·", self.text())
-        return found.group(1) if found else ""
+        return str(self.page.get_attribute("[data-episode]", "data-episode"))
+
+    def chosen(self) -> tuple[str, ...]:
+        """Ids that the page says are selected."""
+        return tuple(str(self.page.get_attribute("[data-episode]", "data-chosen")).split())
 
     def press(self, key: str) -> None:
         """Press a key of the window."""
         self.page.keyboard.press(key)
 
-    def wait_for(self, text: str, timeout_s: float = WAIT_MS / 1000) -> None:
-        """Wait until the page says something.
+    def wait_for_chosen(self, *names: str) -> None:
+        """Wait until just these are selected, in this order, and on disk."""
+        self._wait(f'[data-chosen="{" ".join(names)}"]')
+        self._wait('[data-saved]:not([data-saved="saving"])')
 
-        Raises:
-            TimeoutError: It does not.
-        """
-        self._until(lambda: text in self.text(), f"'{text}'", timeout_s)
+    def wait_for_other(self, episode: str) -> None:
+        """Wait until another episode than this is shown."""
+        self._wait(f'[data-episode]:not([data-episode="{episode}"])')
 
-    def wait_for_episode(self, episode: str, timeout_s: float = WAIT_MS / 1000) -> None:
-        """Wait until another episode than this is shown, with everything on disk."""
-        self._until(lambda: self.episode() not in ("", episode), "another episode", timeout_s)
+    def wait_for_submitted(self) -> None:
+        """Wait until the selection is saved as labels."""
+        self._wait('[data-saved="labels"]')
+
+    def wait_for(self, text: str) -> None:
+        """Wait until the page says something."""
+        self.page.get_by_text(text).first.wait_for()
+
+    def _wait(self, selector: str) -> None:
+        self.page.wait_for_selector(selector, state="attached")
 
     def spot(self, scene: EpisodeScene, instance_id: str, view: str = "top") -> tuple[float, float]:
         """Where in the page an instance's nearest point to its middle is, in pixels.
@@ -159,17 +169,18 @@ class ScriptedOperator:
         self.page.mouse.move(*stop, steps=5)
         self.page.mouse.up()
 
-    def wait_for_saved(self, timeout_s: float = WAIT_MS / 1000) -> None:
-        """Wait until the window says that everything is on disk."""
-        self._until(
-            lambda: self.page.locator('[data-saved="True"]').count() > 0, "'saved'", timeout_s
-        )
-
     def screenshot(self) -> bytes:
         """PNG of the page."""
         return bytes(self.page.screenshot())
 
-    def _until(self, condition: Any, what: str, timeout_s: float) -> None:
+    def until(
+        self, condition: Callable[[], bool], what: str, timeout_s: float = WAIT_MS / 1000
+    ) -> None:
+        """Wait until a condition holds.
+
+        Raises:
+            TimeoutError: It does not; `what` names it.
+        """
         end = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > end:

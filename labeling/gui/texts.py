@@ -32,8 +32,10 @@ def headline(session: Session) -> str:
     marks = "".join(_chip(f"flag: {reason}", "#c92a2a") for reason in (row.flags if row else ()))
     if row and row.disagrees:
         marks += _chip("labelers disagree", "#e67700")
+    chosen = " ".join(name for _, name in session.draft.selection)
     return (
-        '<div style="padding:4px 10px 2px;line-height:1.35">'
+        f'<div data-episode="{escape(scene.id)}" data-chosen="{escape(chosen)}" '
+        'style="padding:4px 10px 2px;line-height:1.35">'
         f'<div style="opacity:.65;font-size:12px">episode {escape(scene.id)} &middot; '
         f"{number} of {len(rows)} &middot; {escape(status)}</div>"
         f'<div style="font-size:17px;font-weight:600;margin:3px 0 5px">'
@@ -65,15 +67,15 @@ def _roles(session: Session) -> str:
 def saved_line(session: Session, *, saving: bool) -> str:
     """Whether everything is on disk, and where."""
     if saving:
-        text, color = "saving &hellip;", "#868e96"
+        text, color, state = "saving &hellip;", "#868e96", "saving"
     elif session.submitted:
-        text, color = "&#10003; saved as labels", "#2b8a3e"
+        text, color, state = "&#10003; saved as labels", "#2b8a3e", "labels"
     elif session.draft.selection or session.draft.past:
-        text, color = "&#10003; draft saved", "#1971c2"
+        text, color, state = "&#10003; draft saved", "#1971c2", "draft"
     else:
-        text, color = "nothing to save", "#868e96"
+        text, color, state = "nothing to save", "#868e96", "nothing"
     return (
-        f'<div style="padding:0 10px;color:{color};font-size:12px" data-saved="{not saving}">'
+        f'<div style="padding:0 10px;color:{color};font-size:12px" data-saved="{state}">'
         f"{text} &middot; {escape(session.operator)}</div>"
     )
 
