@@ -14,7 +14,7 @@ def test_the_snippet_that_samples_runs(capsys: pytest.CaptureFixture[str]) -> No
     exec(SNIPPETS[0], {})
     sentence, pairs = capsys.readouterr().out.splitlines()
     assert sentence.endswith(".")
-    assert "battery_0" in pairs
+    assert "battery_" in pairs
 
 
 @pytest.mark.sim
