@@ -19,6 +19,7 @@ import viser
 
 from codediffuser.errors import CodeDiffuserError, ConfigError
 from codediffuser.labeling.gui.desk import Desk
+from codediffuser.labeling.gui.episode_scene import EpisodeScene
 from codediffuser.labeling.gui.keys import Action
 from codediffuser.labeling.gui.panels import Panel, PanelCalls, ask_token
 from codediffuser.labeling.gui.pictures import MovingAttention, camera_sheet, colored_cloud
@@ -139,7 +140,7 @@ class Tab:
         self.client, self.session = client, session
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"tab-{session.tab}")
         self._view: View | None = None
-        self._kind, self._camera = "top", 0
+        self._kind, self._camera = "", 0
         self._frame = 0
         self._prelabel = session.desk.prelabel or "ground truth"
         self._message = ""
@@ -327,15 +328,18 @@ class Tab:
     def _show_episode(self) -> None:
         scene = self.session.scene
         self._frame = 0
-        if scene is not None and scene.task is not None:
-            wanted = scene.task.config.labeling.view
-            if wanted in scene.cameras:
-                self._kind, self._camera = "camera", list(scene.cameras).index(wanted)
-            elif self._kind != "top":
-                self._kind = "top"
+        if scene is not None and self._kind in ("", "3d"):
+            self._choose_view(scene)
         self._panel.show_frame(0, scene.num_frames if scene else 1)
         self._show_view()
         self._refresh()
+
+    def _choose_view(self, scene: EpisodeScene) -> None:
+        """Begin with the view that the task names; the operator's own choice stays."""
+        wanted = scene.task.config.labeling.view if scene.task else "top"
+        self._kind = "camera" if wanted in scene.cameras else "top"
+        if self._kind == "camera":
+            self._camera = list(scene.cameras).index(wanted)
 
     def _show_view(self) -> None:
         scene = self.session.scene

@@ -25,7 +25,7 @@ ARGUMENTS = (
 )  # fmt: skip
 """Software rendering: the same pictures on a machine without a graphics card."""
 
-WAIT_MS = 60_000
+WAIT_MS = 120_000
 
 
 def find_chromium() -> str:

@@ -98,7 +98,7 @@ class Session:
         """Go on with the episode that this operator was last at, or take the next of the filter."""
         for episode, tab in reversed(self._journal.last.items()):
             entry = self._journal.entries[tab, episode]
-            known = self.desk.folder(episode).is_dir()
+            known = any(row.episode_id == episode for row in self.desk.index.rows)
             if known and not entry.submitted and self.desk.leases.claim(
                 [episode], self.tab, self.operator
             ):  # fmt: skip
@@ -132,8 +132,9 @@ class Session:
         Raises:
             LabelError: The run has no such episode.
         """
-        if not self.desk.folder(episode).is_dir():
-            raise LabelError(f"{self.desk.run}: no episode '{episode}'")
+        known = [row.episode_id for row in self.desk.index.rows]
+        if episode not in known:
+            raise LabelError(f"{self.desk.run}: no episode '{episode}', the first is '{known[0]}'")
         self.desk.leases.claim([episode], self.tab, self.operator)
         self._open(episode)
         return self.desk.leases.other(episode, self.tab)

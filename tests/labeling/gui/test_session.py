@@ -286,3 +286,11 @@ def test_the_same_labels_again_are_no_new_revision(desk: Desk, sit_down: SitDown
     session.submit()
     again = save_labels(desk.folder("000001"), load_labels(desk.folder("000001")).labels)
     assert again.revision == 1
+
+
+@pytest.mark.parametrize("name", ["000009", "../scenes", "", "/etc"])
+def test_only_episodes_of_the_run_can_be_opened(sit_down: SitDown, name: str) -> None:
+    session = sit_down()
+    with pytest.raises(LabelError, match="no episode"):
+        session.open(name)
+    assert shown(session) == "000001"
