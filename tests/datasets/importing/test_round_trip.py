@@ -6,9 +6,11 @@ from rosbags.highlevel import AnyReader
 
 from codediffuser.datagen.episode import Episode, list_episodes
 from codediffuser.datagen.episode_check import check_episode
+from codediffuser.datasets.convert import convert_run
 from codediffuser.datasets.exporting.rosbag2 import export_episode, export_run
 from codediffuser.datasets.importing.config import ImportConfig
 from codediffuser.datasets.importing.first_config import guess_config
+from codediffuser.datasets.importing.sources import find_sources
 from codediffuser.datasets.importing.survey import survey_source
 
 POSE_TOLERANCE = 1e-6
@@ -49,6 +51,35 @@ def assert_equal(made: Episode, again: Episode) -> None:
             # JPEG files travel byte for byte, depth is lossless.
             assert np.array_equal(a.rgb[name], b.rgb[name])
             assert np.array_equal(a.depth_m[name], b.depth_m[name])
+
+
+@pytest.mark.parametrize("to", ["aloha", "robomimic", "zarr"])
+def test_exports_of_rows_come_back(to, tmp_path, labelled_run, run_import):
+    made_run = labelled_run()
+    for _ in convert_run(made_run, tmp_path / "export", to=to, profile="portable"):
+        pass
+    (source,) = {p.parent if to == "aloha" else p for p in find_all(tmp_path / "export")}
+    guess = guess_config(survey_source(find_sources(source)[0]), "pack_battery")
+    config = ImportConfig.parse(guess | {"image": {"format": "png"}}, "guess")
+    run, results = run_import(source, config, run=tmp_path / "imported")
+    assert {r.outcome for r in results} == {"imported"}, [r.reason for r in results]
+    folders = list_episodes(run)
+    for folder, original in zip(folders, list_episodes(made_run), strict=True):
+        made, again = Episode.open(original), Episode.open(folder)
+        assert check_episode(folder) == []
+        assert (again.num_frames, again.hz) == (made.num_frames, made.hz)
+        assert again.manifest.instruction == made.manifest.instruction
+        assert np.abs(again.state - made.state).max() <= POSE_TOLERANCE
+        assert np.abs(again.actions - made.actions).max() <= POSE_TOLERANCE
+        assert {c.name for c in again.manifest.cameras} == {c.name for c in made.manifest.cameras}
+        for a, b in zip(made.frames(), again.frames(), strict=True):
+            for name in a.rgb:
+                assert np.array_equal(a.rgb[name], b.rgb[name])
+                assert np.array_equal(a.depth_m[name], b.depth_m[name])
+
+
+def find_all(folder):
+    return [p for p in sorted(folder.rglob("*")) if p.suffix in (".hdf5", ".zarr")]
 
 
 def test_any_reader_opens_the_export(tmp_path, write_synthetic_episode):
