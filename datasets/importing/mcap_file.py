@@ -23,6 +23,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
+from rosbags.typesys.msg import normalize_msgtype
 
 from codediffuser.datasets.importing.recording import ChunkCache, Encoding, Recording, Topic
 from codediffuser.errors import DatasetError
@@ -215,8 +216,10 @@ class McapRecording(Recording):
         schema = self._schemas.get(channel.schema_id, Schema(0, b"", "", ""))
         self._channels[channel.id] = channel.topic
         self._places.setdefault(channel.topic, _Places())
+        # ROS 1 writes `sensor_msgs/Image` where ROS 2 has `sensor_msgs/msg/Image`.
+        name = normalize_msgtype(schema.name) if encoding == "ros1" else schema.name
         self.topics[channel.topic] = Topic(
-            channel.topic, schema.name, encoding, schema.encoding, bytes(schema.data)
+            channel.topic, name, encoding, schema.encoding, bytes(schema.data)
         )
 
     def _unpack(self, number: int) -> bytes:

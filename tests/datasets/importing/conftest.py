@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -53,8 +54,11 @@ class BagMaker:
             Event(topic, START_NS, START_NS, 0) for topic in ("/cam/info", "/tf_static")
         ]
 
-    def of(self, topic: str) -> list[Event]:
-        return [e for e in self.events if e.topic == topic]
+    def add_moving_transforms(self, seconds: float = 2.0, hz: int = 50) -> None:
+        """The hand moves in the world, and a camera `wrist` stands on it."""
+        for k in range(int(seconds * hz)):
+            t = START_NS + k * 1_000_000_000 // hz
+            self.events.append(Event("/tf", t, t + 1_000_000, k))
 
     def change(self, topic: str, number: int, **changes: int) -> None:
         """Shift the times of one message: `delay_ns` when it arrives, `stamp_ns` its stamp."""
@@ -86,6 +90,25 @@ class BagMaker:
                     made[topic] = writer.add_connection(topic, type_name, typestore=store)
                 data = store.serialize_cdr(message, type_name)
                 writer.write(made[topic], event.bag_ns, data)
+        return path
+
+    def write_mcap_of_ros1(self, path: Path) -> Path:
+        """ROS 1 messages in MCAP, as `mcap convert` makes them."""
+        store, channels = STORES[1], {}
+        with path.open("wb") as stream:
+            writer = McapWriter(stream)
+            writer.start(profile="ros1")
+            for event in self.arrived():
+                topic, type_name, message = build(event, 1)
+                if topic not in channels:
+                    text, _ = store.generate_msgdef(type_name, ros_version=1)
+                    schema = writer.register_schema(
+                        type_name.replace("/msg/", "/"), "ros1msg", text.encode()
+                    )
+                    channels[topic] = writer.register_channel(topic, "ros1", schema)
+                data = bytes(store.serialize_ros1(message, type_name))
+                writer.add_message(channels[topic], event.bag_ns, data, event.bag_ns)
+            writer.finish()
         return path
 
     def write_rosbag1(self, path: Path) -> Path:
@@ -153,21 +176,25 @@ def build(event: Event, ros: int) -> tuple[str, str, Any]:
             np.eye(3).reshape(-1), P, 0, 0, roi,
         )  # fmt: skip
         return topic, "sensor_msgs/msg/CameraInfo", message
-    if topic == "/tf_static":
+    if topic in ("/tf", "/tf_static"):
         type_name = "tf2_msgs/msg/TFMessage"
-        return topic, type_name, types[type_name](transforms(types, header))
+        zero, half_turn = (0.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0)
+        edges = [("world", "mast", (0.0, 0.0, 1.0), zero),
+                 ("mast", "cam_optical", (0.0, 0.0, 0.2), half_turn),
+                 ("tcp", "wrist_optical", (0.0, 0.1, 0.0), zero)]  # fmt: skip
+        if topic == "/tf":
+            edges = [("world", "tcp", (event.number * 1e-3, 0.0, 0.3), half_turn)]
+        return topic, type_name, types[type_name](transforms(types, header, edges))
     return topic, "std_msgs/msg/String", types["std_msgs/msg/String"](text)
 
 
-def transforms(types: Any, header: Callable[[str], Any]) -> list[Any]:
-    """world -> mast (1 m up) -> cam_optical (looks down)."""
-    zero, half_turn = (0.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0)
+def transforms(types: Any, header: Callable[[str], Any], edges: list[tuple[Any, ...]]) -> list[Any]:
+    """Transforms from parent, child, translation and rotation (x, y, z, w)."""
     stamped = []
-    for parent, child, z, q in (("world", "mast", 1.0, zero),
-                                ("mast", "cam_optical", 0.2, half_turn)):  # fmt: skip
+    for parent, child, translation, rotation in edges:
         transform = types["geometry_msgs/msg/Transform"](
-            types["geometry_msgs/msg/Vector3"](0.0, 0.0, z),
-            types["geometry_msgs/msg/Quaternion"](*q),
+            types["geometry_msgs/msg/Vector3"](*translation),
+            types["geometry_msgs/msg/Quaternion"](*rotation),
         )
         stamped.append(
             types["geometry_msgs/msg/TransformStamped"](header(parent), child, transform)

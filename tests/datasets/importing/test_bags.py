@@ -14,12 +14,14 @@ from codediffuser.datasets.importing.run import ImportReport
 from codediffuser.datasets.importing.sources import open_source
 from codediffuser.errors import ConfigError, DatasetError
 
-KINDS = ("mcap", "sqlite3", "rosbag1")
+KINDS = ("mcap", "sqlite3", "rosbag1", "mcap of ros1")
 
 
 def write(bag, path, kind):
     if kind == "rosbag1":
         return bag.write_rosbag1(path.with_suffix(".bag"))
+    if kind == "mcap of ros1":
+        return bag.write_mcap_of_ros1(path.with_suffix(".mcap"))
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
     return bag.write_rosbag2(path, plugin)
 
@@ -174,6 +176,39 @@ def test_actions_from_the_next_state_are_the_state_one_frame_on(
     assert episode.num_frames == 39
     assert np.array_equal(episode.actions[:-1], episode.state[1:])
     assert "following frame" in episode.manifest.recording.sync.action
+
+
+def test_hand_and_wrist_camera_come_from_moving_transforms(tmp_path, bag, make_config, run_import):
+    bag.add_moving_transforms()
+    front = {"color": "/cam/image", "depth": "/cam/depth", "info": "/cam/info"}
+    K = [[30, 0, 15.5], [0, 30, 11.5], [0, 0, 1]]
+    wrist = {"color": "/cam/image", "K": K, "frame": "wrist_optical", "moving": True}
+    fingers = {"topic": "/joint_states", "joints": ["finger_left", "finger_right"]}
+    config = make_config(
+        cameras={"front": front, "wrist": wrist},
+        state={"hand": {"frame": "tcp"}, "gripper": fingers},
+        action={"from": "next_state"},
+    )
+    run, (result,) = run_import(bag.write_rosbag2(tmp_path / "bag"), config)
+    assert result.outcome == "imported", result.reason
+    episode = only_episode(run)
+    assert check_episode(episode.folder) == []
+    arrays = np.load(episode.folder / "sync.npz")
+    number = (arrays["tf.tcp"] - 1_700_000_000_001_000_000) // 20_000_000
+    assert np.allclose(episode.state[:, 0], number * 1e-3)
+    poses = episode.camera_poses("wrist")
+    assert np.allclose(poses[:, 0, 3], number * 1e-3) and np.allclose(poses[:, 1, 3], -0.1)
+    assert set(episode.cameras) == {"front"}
+    sync = episode.manifest.recording.sync.signals["tf.tcp"]
+    assert sync.topic == "tf" and 0 < sync.skew_max_ms <= 20
+
+
+def test_a_camera_that_moves_unannounced_is_refused(tmp_path, bag, make_config, run_import):
+    bag.add_moving_transforms()
+    wrist = {"color": "/cam/image", "info": "/cam/info", "frame": "wrist_optical"}
+    config = make_config(cameras={"wrist": wrist})
+    _, (result,) = run_import(bag.write_rosbag2(tmp_path / "bag"), config)
+    assert "moves in 'world'; set moving: true" in result.reason
 
 
 def test_joints_alone_are_a_state_of_their_own_kind(tmp_path, bag, make_config, run_import):

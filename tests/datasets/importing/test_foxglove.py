@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
@@ -105,6 +106,47 @@ def test_foxglove_protobuf_and_json_become_an_episode(tmp_path, run_import):
     assert np.array_equal(frame.rgb["cam"], color(4))
     assert np.allclose(frame.depth_m["cam"], 0.704)
     assert np.allclose(episode.cameras["cam"].T_world_camera[:3, 2], [0, 0, -1])
+
+
+def test_a_recorded_video_gives_a_picture_for_every_frame(tmp_path, run_import):
+    import av
+
+    encoder = av.CodecContext.create("libx264", "w")
+    encoder.width, encoder.height, encoder.pix_fmt = 64, 48, "yuv420p"
+    encoder.framerate, encoder.gop_size, encoder.max_b_frames = 10, 8, 0
+    encoder.options = {"preset": "ultrafast", "tune": "zerolatency", "crf": "5"}
+    with (tmp_path / "video.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema(
+            "foxglove.CompressedVideo", "protobuf", descriptor_set(CompressedVideo)
+        )
+        video = writer.register_channel("/cam/video", "protobuf", schema)
+        joints = writer.register_channel("/joints", "json", 0)
+        for k in range(20):
+            t = START_S * 10**9 + k * 100_000_000
+            pixels = np.full((48, 64, 3), 12 * k, np.uint8)
+            (packet,) = encoder.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24"))
+            message = CompressedVideo(frame_id="cam", data=bytes(packet), format="h264")
+            message.timestamp.FromNanoseconds(t)
+            writer.add_message(video, t, message.SerializeToString(), t)
+            state = json.dumps({"name": ["a"], "position": [k]})
+            writer.add_message(joints, t, state.encode(), t)
+        writer.finish()
+    numbers = {"topic": "/joints"}
+    config = {
+        "schema": "codediffuser.import/1", "task": "pack_battery", "hz": 5, "instruction": "Go.",
+        "cameras": {"cam": {"color": "/cam/video"}}, "state": {"joints": numbers},
+        "action": {"from": "next_state"}, "image": {"format": "png"},
+        # The first half has its key frame before the start of the episode.
+        "episodes": {"by": "times", "times_s": [[0.4, 1.9]]},
+    }  # fmt: skip
+    run, (result,) = run_import(tmp_path / "video.mcap", ImportConfig.parse(config, "test"))
+    assert result.outcome == "imported", result.reason
+    episode = Episode.open(list_episodes(run)[0])
+    assert episode.state[:, 0].tolist() == [4, 6, 8, 10, 12, 14, 16]
+    means = [frame.rgb["cam"].mean() for frame in episode.frames()]
+    assert np.abs(np.array(means) - 12 * episode.state[:, 0]).max() < 6
 
 
 def decoder(encoding, type_name="x", schema_encoding="", schema=b""):
