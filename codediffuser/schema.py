@@ -7,6 +7,7 @@ written. Unknown keys are errors with a closest-name hint.
 from __future__ import annotations
 
 import difflib
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -18,10 +19,6 @@ from ruamel.yaml.error import YAMLError
 
 from codediffuser.errors import ConfigError, SchemaVersionError
 from codediffuser.files import write_text
-from codediffuser.yaml_reader import read_own_yaml
-from codediffuser.yaml_writer import dump_yaml
-
-__all__ = ["Document", "Raw", "Strict", "dump_yaml", "load_yaml", "parse_model"]
 
 Raw = dict[str, Any]
 M = TypeVar("M", bound=BaseModel)
@@ -133,6 +130,28 @@ def load_yaml(path: Path) -> Any:
     return _parse_text(_read(path, "YAML"), path)
 
 
+def dump_yaml(raw: Any) -> str:
+    """Write plain dicts and lists as YAML, lists of numbers on one line."""
+    yaml = YAML()
+    yaml.default_flow_style = False
+    yaml.width = 100
+    stream = io.StringIO()
+    yaml.dump(_flow_number_lists(yaml, raw), stream)
+    return stream.getvalue()
+
+
+def _flow_number_lists(yaml: YAML, value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _flow_number_lists(yaml, item) for key, item in value.items()}
+    if isinstance(value, list):
+        if all(not isinstance(item, (dict, list)) for item in value):
+            sequence = yaml.seq(value)
+            sequence.fa.set_flow_style()
+            return sequence
+        return [_flow_number_lists(yaml, item) for item in value]
+    return value
+
+
 def _read(path: Path, kind: str) -> str:
     try:
         return path.read_text(encoding="utf-8")
@@ -150,8 +169,6 @@ def _parse_text(text: str, path: Path) -> Any:
             raise ConfigError(
                 f"{path}:{error.lineno}:{error.colno}: not JSON: {error.msg}"
             ) from None
-    if (own := read_own_yaml(text)) is not None:
-        return own
     try:
         return YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:
