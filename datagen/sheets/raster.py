@@ -170,13 +170,16 @@ class Painter:
         from PIL import Image, ImageDraw
 
         # A square with the anchor point in its middle, large enough for any turn.
-        half = math.ceil(width + 2 * size)
-        whole = np.floor(at)
+        half = math.ceil(max(-start, start + width) + size)
+        whole = np.floor(at).astype(int)
         mask = Image.new("L", (2 * half, 2 * half))
         origin = (half + start, half + size * CAP_HEIGHT / 2)
         ImageDraw.Draw(mask).text(origin, mark.text, fill=255, font=font, anchor="ls")
         turned = mask.rotate(math.degrees(mark.rotation_rad), Image.Resampling.BICUBIC)
-        self.image.paste(mark.color, (int(whole[0]) - half, int(whole[1]) - half), turned)
+        window = turned.getbbox()
+        if window is not None:
+            where = (int(whole[0]) - half + window[0], int(whole[1]) - half + window[1])
+            self.image.paste(mark.color, where, turned.crop(window))
 
 
 def _along_axes(corners: np.ndarray) -> bool:
