@@ -66,7 +66,7 @@ from codediffuser.schema import Strict
 LIFTED_M = 0.03
 """A mug that has risen by this much was lifted."""
 
-LABEL_WIDTH_M = 0.07
+LABEL_WIDTH_M = 0.09
 """Room for the names of branches beside the tree, in reset pictures."""
 
 NEAR_BRANCH_M = 0.12
