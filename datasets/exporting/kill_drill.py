@@ -1,0 +1,126 @@
+"""Kills convert at random moments and looks whether the next call makes up for it.
+
+python -m codediffuser.datasets.exporting.kill_drill RUN --kills 10 --num-episodes 3
+
+The reference is one convert that nobody disturbs. Then a process converts the same run and gets
+SIGKILL at a random moment, again and again; a last undisturbed call must end with the same bytes.
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from codediffuser.datagen.episode import list_episodes
+from codediffuser.datasets.exporting.format import format_for
+from codediffuser.errors import DatasetError
+from codediffuser.files import sha256_file
+from codediffuser.seeding import Stage, rng_for
+
+
+@dataclass(kw_only=True)
+class Options:
+    """Kill `convert` at random moments."""
+
+    run: tyro.conf.Positional[Path]
+    """A run with labelled episodes; it is copied."""
+    to: str = "lerobot"
+    profile: str = "portable"
+    num_episodes: int = 3
+    kills: int = 10
+    seed: int = 0
+    """Of the moments."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """One disturbed call."""
+
+    after_s: float
+    finished: bool
+    """Whether it was faster than the signal."""
+    parts: int
+    """Episodes that were ready when it ended."""
+
+
+def drill(options: Options, scratch: Path) -> Iterator[Kill]:
+    """Disturb a convert, then compare.
+
+    Yields:
+        One item per kill.
+
+    Raises:
+        DatasetError: After all, the export is not that of the undisturbed call.
+    """
+    kind, profile = format_for(options.to, options.profile)
+    for name in ("whole", "run"):
+        # Both copies have one name, which is part of the export.
+        for folder in list_episodes(options.run)[: options.num_episodes]:
+            shutil.copytree(folder, scratch / name / "run" / "episodes" / folder.name)
+    whole, run = scratch / "whole" / "run", scratch / "run" / "run"
+    started = time.monotonic()
+    _convert(options, whole).wait()
+    takes_s = time.monotonic() - started
+    moments = rng_for(options.seed, Stage.EXPERT, 0).uniform(0.1, 1.0, options.kills) * takes_s
+    for after_s in moments:
+        process = _convert(options, run)
+        try:
+            process.wait(timeout=float(after_s))
+            finished = True
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            finished = False
+        kept = run / ".cache" / "convert"
+        yield Kill(float(after_s), finished, len(list(kept.glob("0*"))))
+        if finished:
+            shutil.rmtree(kind.default_out(run, profile), ignore_errors=True)
+    if _convert(options, run).wait() != 0:
+        raise DatasetError(f"{run}: the last, undisturbed convert failed")
+    expected, found = (_contents(kind.default_out(r, profile)) for r in (whole, run))
+    differ = sorted(k for k in expected.keys() | found.keys() if expected.get(k) != found.get(k))
+    if differ:
+        raise DatasetError(f"{run}: differs from the undisturbed export in {', '.join(differ)}")
+    left = [p.name for p in kind.default_out(run, profile).parent.glob(".partial-*")]
+    if left or (run / ".cache" / "convert").exists():
+        raise DatasetError(f"{run}: the last call left {left or 'its parts'} behind")
+
+
+def _convert(options: Options, run: Path) -> subprocess.Popen[bytes]:
+    words = ["convert", str(run), "--to", options.to, "--profile", options.profile]
+    return subprocess.Popen(
+        [sys.executable, "-m", "codediffuser.cli", *words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def _contents(root: Path) -> dict[str, str]:
+    files = (path for path in root.rglob("*") if path.is_file())
+    return {path.relative_to(root).as_posix(): sha256_file(path) for path in files}
+
+
+def _main() -> None:
+    options = tyro.cli(Options)
+    with tempfile.TemporaryDirectory() as folder:
+        kills = []
+        for kill in drill(options, Path(folder)):
+            kills.append(kill)
+            end = "finished before" if kill.finished else "killed"
+            sys.stdout.write(f"{end} after {kill.after_s:.2f} s, {kill.parts} parts kept\n")
+        hit = np.count_nonzero([not kill.finished for kill in kills])
+    sys.stdout.write(f"{hit} kills; the export equals the undisturbed one, byte for byte\n")
+
+
+if __name__ == "__main__":
+    _main()
