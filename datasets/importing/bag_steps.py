@@ -18,7 +18,6 @@ from codediffuser.datasets.importing.bag_readers import (
 from codediffuser.datasets.importing.bag_sync import SyncedEpisode
 from codediffuser.datasets.importing.bag_transforms import read_calibration
 from codediffuser.datasets.importing.config import CameraSource, ImportConfig, NumberSource
-from codediffuser.datasets.importing.decoding import Decoder
 from codediffuser.datasets.importing.motion import (
     FINGER,
     hand_motion,
@@ -276,13 +275,6 @@ class BagSteps:
                 f"frame: {frame}"
             )
         return self._lookup(frame, 0)
-
-
-def decode_first(recording: Recording, topic: str) -> Any:
-    """The first message of a topic; None for none."""
-    if not len(recording.times_ns[topic]):
-        return None
-    return Decoder(recording.topics[topic]).decode(recording.read(topic, 0))
 
 
 def _mix_numbers(a: np.ndarray, b: np.ndarray, weight: float) -> np.ndarray:

@@ -74,7 +74,7 @@ def synchronise(recording: Recording, segment: Segment, config: ImportConfig) ->
             topics[name], found = read_times(recording, name, start, stop)
             damage += found
     clock, shift = config.sync.clock, _shift(topics, config.sync.clock)
-    tree = read_tree(recording, start, stop, clock)
+    tree = read_tree(recording, start, stop, clock, damage)
     times, index, used = {}, {}, {}
     for s in signals:
         times[s.name], index[s.name], used[s.name] = topics[s.topic].on(clock, shift)

@@ -13,6 +13,7 @@ from codediffuser.datasets.importing.transforms import TransformTree
 from codediffuser.datasets.importing.values import Calibration, calibration_of, transforms_of
 from codediffuser.errors import DatasetError
 
+_FOREVER = int(np.iinfo(np.int64).max)
 _TRANSFORM_TYPES = ("TFMessage", "tfMessage", "FrameTransform", "FrameTransforms")
 
 
@@ -24,18 +25,23 @@ def transform_topics(recording: Recording) -> tuple[list[str], list[str]]:
     return static, [name for name in topics if name not in static]
 
 
-def read_tree(recording: Recording, start_ns: int, stop_ns: int, clock: Clock) -> TransformTree:
-    """The transform tree of one window of time; static transforms come from the whole recording."""
+def read_tree(
+    recording: Recording, start_ns: int, stop_ns: int, clock: Clock, damage: list[str]
+) -> TransformTree:
+    """The transform tree of one window of time; static transforms come from the whole recording.
+
+    What cannot be read is told in `damage`.
+    """
     static_topics, moving_topics = transform_topics(recording)
     static = [
         (parent, child, T)
         for name in static_topics
-        for _, found in _messages(recording, name, 0, np.iinfo(np.int64).max)
+        for _, found in _messages(recording, name, 0, _FOREVER, damage)
         for parent, child, T, _ in transforms_of(found)
     ]
     moving = []
     for name in moving_topics:
-        for bag_ns, message in _messages(recording, name, start_ns, stop_ns):
+        for bag_ns, message in _messages(recording, name, start_ns, stop_ns, damage):
             for parent, child, T, item in transforms_of(message):
                 stamp = message_stamp_ns(item) if clock == "header" else None
                 moving.append((parent, child, bag_ns if stamp is None else stamp, T))
@@ -68,7 +74,7 @@ def read_calibration(recording: Recording, topic: str, start_ns: int, where: str
 
 
 def _messages(
-    recording: Recording, topic: str, start_ns: int, stop_ns: int
+    recording: Recording, topic: str, start_ns: int, stop_ns: int, damage: list[str]
 ) -> Iterator[tuple[int, object]]:
     """Bag time and decoded message of those in a window that can be read."""
     decoder, times = Decoder(recording.topics[topic]), recording.times_ns[topic]
@@ -76,4 +82,4 @@ def _messages(
         try:
             yield int(times[i]), decoder.decode(recording.read(topic, i))
         except DatasetError as error:
-            recording.damage.append(str(error))
+            damage.append(str(error))

@@ -57,7 +57,7 @@ def size(gigabytes: float = 2.0, hz: int = 2, folder: Path | None = None, worker
 
 
 def kills(
-    times: int = 10, megabytes: float = 300.0, seed: int = 0, folder: Path | None = None
+    times: int = 10, megabytes: float = 60.0, seed: int = 0, folder: Path | None = None
 ) -> None:
     """Kill imports at random moments, run them again, and compare with one left alone.
 
@@ -72,8 +72,8 @@ def kills(
     """
     scratch = Path(tempfile.mkdtemp(prefix="import-kills-", dir=folder))
     try:
-        make_bag(scratch / "big.mcap", int(megabytes * 1e6))
-        bag_config(5).save(scratch / "import.yaml")
+        make_bag(scratch / "big.mcap", int(megabytes * 1e6), episodes=6, size=(160, 120))
+        bag_config(30).save(scratch / "import.yaml")
         start = time.monotonic()
         subprocess.run(_command(scratch, scratch / "whole"), check=True)
         whole_s = time.monotonic() - start

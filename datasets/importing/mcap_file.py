@@ -15,7 +15,6 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
 
 import lz4.frame
 import numpy as np
@@ -244,8 +243,3 @@ def _unpack(packed: bytes, chunk: _Chunk, zstd: zstandard.ZstdDecompressor) -> b
     if chunk.compression == "":
         return packed
     raise ValueError(f"compression '{chunk.compression}' is not known")
-
-
-def is_mcap(stream: BinaryIO) -> bool:
-    """Whether a stream starts as an MCAP file does."""
-    return stream.read(len(MAGIC)) == MAGIC

@@ -9,7 +9,7 @@ from codediffuser.datasets.importing.survey import Survey
 
 _ALOHA_ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate",
               "gripper")  # fmt: skip
-_HDF5_EXTENSIONS = {"aloha": "observations/images/", "robomimic": "obs/"}
+_ALOHA_PICTURES, _ROBOMIMIC_OBS = "observations/images/", "obs/"
 
 
 def guess_rows(survey: Survey) -> dict[str, Any]:
@@ -40,7 +40,7 @@ def _hand_rows(paths: dict[str, Any]) -> dict[str, Any]:
 
 
 def _aloha(survey: Survey, paths: dict[str, Any]) -> dict[str, Any]:
-    folder = _HDF5_EXTENSIONS["aloha"]
+    folder = _ALOHA_PICTURES
     cameras = {t.name.removeprefix(folder): {"color": t.name} for t in survey.of_role("color")}
     for name, camera in cameras.items():
         if f"observations/depth/{name}" in paths:
@@ -58,7 +58,7 @@ def _aloha(survey: Survey, paths: dict[str, Any]) -> dict[str, Any]:
 
 
 def _robomimic(survey: Survey, paths: dict[str, Any]) -> dict[str, Any]:
-    folder = _HDF5_EXTENSIONS["robomimic"]
+    folder = _ROBOMIMIC_OBS
     cameras: dict[str, Any] = {}
     for topic in survey.of_role("color"):
         if topic.name.startswith(folder):

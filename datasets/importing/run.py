@@ -15,24 +15,26 @@ import numpy as np
 
 from codediffuser.datagen import episode_format as fmt
 from codediffuser.datagen.episode import load_manifest
-from codediffuser.datagen.episode_format import RecordingRecord
 from codediffuser.datagen.episode_writer import EpisodeFacts, write_episode
-from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.workers import run_tasks
 from codediffuser.datasets.importing.array_file import ArrayFile
 from codediffuser.datasets.importing.array_steps import ArraySteps
 from codediffuser.datasets.importing.bag_steps import BagSteps
 from codediffuser.datasets.importing.bag_sync import SyncedEpisode, synchronise
 from codediffuser.datasets.importing.config import ImportConfig
-from codediffuser.datasets.importing.decoding import Decoder
+from codediffuser.datasets.importing.facts import (
+    config_hash,
+    episode_facts,
+    instruction_at,
+    recording_record,
+)
 from codediffuser.datasets.importing.jobs import Job, plan_jobs
 from codediffuser.datasets.importing.limits import refusal
 from codediffuser.datasets.importing.recording import Recording
 from codediffuser.datasets.importing.segments import Segment
 from codediffuser.datasets.importing.sources import find_sources, open_source
-from codediffuser.datasets.importing.values import text_of
 from codediffuser.errors import ConfigError, DatasetError, EpisodeError, ShapeError
-from codediffuser.files import remove_partials, sha256_json
+from codediffuser.files import remove_partials
 from codediffuser.schema import Document, Strict
 
 REPORT = "import.json"
@@ -132,11 +134,6 @@ def import_recordings(
     _report(config, [results[job.id] for job in jobs]).save(run / REPORT)
 
 
-def config_hash(config: ImportConfig) -> str:
-    """SHA-256 of what a configuration says, whatever the file looks like."""
-    return sha256_json(config.model_dump(mode="json", by_alias=True))
-
-
 def _frames_there(folder: Path, job: Job, config: ImportConfig, overwrite: bool) -> int | None:
     """Frames of the episode if it is there already from the same job; None to make it."""
     if overwrite or not (folder / fmt.MANIFEST).is_file():
@@ -225,7 +222,9 @@ def _import_rows(source: ArrayFile, job: Job, run: Path, config: ImportConfig) -
     success = job.success if told is None else told
     instruction = source.instruction(job.episode) or config.instruction
     damage = [*source.damage, *steps.notes]
-    facts = _facts(job, config, success, instruction, steps, _record(source, job, config, damage))
+    facts = episode_facts(
+        job, config, success, instruction, steps, recording_record(source, job, config, damage)
+    )
     return _write(run, job, facts, config, steps)
 
 
@@ -238,10 +237,10 @@ def _import_bag(source: Recording, job: Job, run: Path, config: ImportConfig) ->
     reason = refusal(synced, steps.num_steps, config.limits)
     if reason:
         raise DatasetError(reason)
-    instruction = _instruction_at(source, job, config) or config.instruction
+    instruction = instruction_at(source, job, config) or config.instruction
     damage = [*source.damage, *synced.damage, *steps.notes]
-    record = _record(source, job, config, damage, synced)
-    facts = _facts(job, config, job.success, instruction, steps, record)
+    record = recording_record(source, job, config, damage, synced)
+    facts = episode_facts(job, config, job.success, instruction, steps, record)
     return _write(run, job, facts, config, steps, synced)
 
 
@@ -270,71 +269,6 @@ def _write(
         records=steps.records,
     )
     return manifest.frames
-
-
-def _facts(
-    job: Job,
-    config: ImportConfig,
-    success: bool,
-    instruction: str,
-    steps: BagSteps | ArraySteps,
-    record: RecordingRecord,
-) -> EpisodeFacts:
-    seed = None
-    if job.scene is not None:
-        scene = SceneSpec.load(job.scene)
-        if scene.task != config.task:
-            raise DatasetError(f"{job.scene}: is a scene of {scene.task}, not of {config.task}")
-        seed, instruction = scene.seed, scene.instruction.text
-    if not instruction:
-        raise DatasetError(
-            "nothing says what was asked: set instruction, instruction_topic or scenes"
-        )
-    return EpisodeFacts(
-        id=job.id,
-        task=config.task,
-        source=config.source,
-        instruction=instruction,
-        success=success,
-        seed=seed,
-        reason="" if success else "recorded as a failure",
-        motion=steps.motion,
-        recording=record,
-    )
-
-
-def _record(
-    source: Recording | ArrayFile,
-    job: Job,
-    config: ImportConfig,
-    damage: Sequence[str],
-    synced: SyncedEpisode | None = None,
-) -> RecordingRecord:
-    return RecordingRecord(
-        path=job.source.name,
-        format=source.format,
-        segment=job.segment,
-        start_ns=job.start_ns,
-        stop_ns=job.stop_ns,
-        config_sha256=config_hash(config),
-        damage=tuple(dict.fromkeys(damage)),
-        sync=None if synced is None else synced.record,
-    )
-
-
-def _instruction_at(recording: Recording, job: Job, config: ImportConfig) -> str:
-    """The latest text at the start of an episode, or else the first within; empty for none."""
-    topic = config.instruction_topic
-    if not topic:
-        return ""
-    recording.topic(topic, "instruction_topic")
-    times = recording.times_ns[topic]
-    before = np.flatnonzero(times <= job.start_ns)
-    within = np.flatnonzero((times > job.start_ns) & (times <= job.stop_ns))
-    if not len(before) and not len(within):
-        return ""
-    i = int(before[np.argmax(times[before])]) if len(before) else int(within[0])
-    return text_of(Decoder(recording.topics[topic]).decode(recording.read(topic, i))) or ""
 
 
 def _report(config: ImportConfig, results: Sequence[ImportResult]) -> ImportReport:

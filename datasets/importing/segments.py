@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,6 +13,8 @@ from codediffuser.datasets.importing.decoding import Decoder
 from codediffuser.datasets.importing.recording import Recording
 from codediffuser.datasets.importing.values import text_of
 from codediffuser.errors import DatasetError
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +129,7 @@ def _text(recording: Recording, decoder: Decoder, topic: str, index: int) -> str
     try:
         return text_of(decoder.decode(recording.read(topic, index)))
     except DatasetError as error:
-        recording.damage.append(str(error))
+        _log.warning("%s: a marker is left out: %s", recording.path, error)
         return None
 
 
