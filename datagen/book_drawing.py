@@ -10,13 +10,13 @@ from codediffuser.datagen import drawing
 from codediffuser.datagen.book_slots import row_beside, shelved_books, slot_corners_m
 from codediffuser.datagen.bookshelf import ShelfConfig
 from codediffuser.datagen.scene import ObjectSpec, SceneSpec, Vector3
+from codediffuser.datagen.spine import ink_rgb
 
 if TYPE_CHECKING:
     from codediffuser.datagen.task import Observer, Pad
 
 BACK: drawing.Color = "#efece7"
 OUTLINE_PT = 3.0
-LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 def shelf_from_front(scene: SceneSpec, shelf: ShelfConfig) -> drawing.Panel:
@@ -103,4 +103,4 @@ def _half_size(book: ObjectSpec) -> tuple[float, float]:
 
 
 def _ink(color_rgb: Vector3) -> drawing.Color:
-    return "#141416" if float(np.dot(color_rgb, LUMINANCE)) > 0.25 else "#fafaf6"
+    return "#" + "".join(f"{channel:02x}" for channel in ink_rgb(color_rgb))

@@ -21,6 +21,9 @@ PAGES_RGB = (232, 224, 205)
 COVER_M = 0.002
 """Thickness of the covers around the pages."""
 DARK, LIGHT = (20, 20, 22), (250, 250, 246)
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+PAGE_COLUMNS = 8
+"""Half the width, in pixels, of the strip of a picture that has the colour of pages."""
 
 
 class TitleStyle(Strict):
@@ -50,7 +53,7 @@ def book_decal(
     ]  # fmt: skip
     vertices = [(x, y, z) for x, y in profile for z in (height, 0.0)]
     # The last columns of the picture are the colour of pages.
-    spine_u = 1 - 2 * _PAGE_COLUMNS / image.shape[1]
+    spine_u = 1 - 2 * PAGE_COLUMNS / image.shape[1]
     shares = (np.array([x for x, _ in profile]) + half_x) / thickness
     uv = [(float(np.clip(s, 0, 1)) * spine_u, v) for s in shares for v in (0.0, 1.0)]
     faces = [f for i in (0, 2, 4) for f in ((i, i + 1, i + 3), (i, i + 3, i + 2))]
@@ -58,13 +61,10 @@ def book_decal(
     pages = [(-x, front), (x, front), (half_x - across, back), (-half_x + across, back)]
     first = len(vertices)
     vertices += [(px, py, height + out) for px, py in pages]
-    uv += [(1 - 0.5 * _PAGE_COLUMNS / image.shape[1], 0.5)] * 4
+    uv += [(1 - 0.5 * PAGE_COLUMNS / image.shape[1], 0.5)] * 4
     faces += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
     mesh = trimesh.Trimesh(np.array(vertices), np.array(faces), process=False)
     return Decal(mesh, np.array(uv, dtype=np.float32), image)
-
-
-_PAGE_COLUMNS = 8
 
 
 def spine_image(
@@ -79,16 +79,20 @@ def spine_image(
     width = round(thickness_m * style.pixels_per_m)
     length = round(height_m * style.pixels_per_m)
     cover = _srgb(color_rgb)
-    ink = DARK if np.dot(color_rgb, (0.2126, 0.7152, 0.0722)) > 0.25 else LIGHT
     # Drawn lying, and then turned by a quarter: titles run from the top down.
     lying = Image.new("RGB", (length, width), cover)
     draw = ImageDraw.Draw(lying)
     room = length - 2 * round(style.margin_m * style.pixels_per_m)
     font = _fitting_font(title, room, round(style.width_share * width))
-    draw.text((length / 2, width / 2), title, fill=ink, font=font, anchor="mm")
+    draw.text((length / 2, width / 2), title, fill=ink_rgb(color_rgb), font=font, anchor="mm")
     spine = np.asarray(lying.transpose(Image.Transpose.ROTATE_270))
-    pages = np.full((length, 2 * _PAGE_COLUMNS, 3), PAGES_RGB, dtype=np.uint8)
+    pages = np.full((length, 2 * PAGE_COLUMNS, 3), PAGES_RGB, dtype=np.uint8)
     return np.concatenate([spine, pages], axis=1)
+
+
+def ink_rgb(color_rgb: Vector3) -> tuple[int, int, int]:
+    """Colour of print, sRGB, that stands out from a cover of a linear colour."""
+    return DARK if float(np.dot(color_rgb, LUMINANCE)) > 0.25 else LIGHT
 
 
 def _fitting_font(title: str, room_px: int, height_px: int) -> FreeTypeFont:

@@ -9,7 +9,7 @@ out, in line with the row, released and at rest.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import ClassVar, Self
 
 import numpy as np
@@ -166,18 +166,15 @@ class StowBook(Task[StowBookConfig]):
             t for v in variants for t in (*sum(v.row.side_books, ()), *v.row.shelf_books)
         )
 
-        def names(titles: Iterator[str]) -> list[Named]:
-            found = list(titles)
-            colors = dict.fromkeys(catalogue[title].color for title in found)
+        def names(titles: Iterable[str]) -> list[Named]:
+            colors = dict.fromkeys(catalogue[title].color for title in titles)
             return [
-                *(Named(title, label=title) for title in found),
+                *(Named(title, label=title) for title in titles),
                 *(Named(f"the {color} book", name=f"{color} book") for color in colors),
             ]
 
         side = self.config.observer
-        return by_words(
-            list(book_phrases(names(iter(waiting)), names(iter(shelved)), side.left, side.right))
-        )
+        return by_words(list(book_phrases(names(waiting), names(shelved), side.left, side.right)))
 
     def pads(self, variant: str) -> tuple[Pad, ...]:
         """One pad under everywhere that the waiting book may stand."""
