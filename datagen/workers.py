@@ -28,6 +28,9 @@ R = TypeVar("R")
 Fate = Literal["", "error", "died", "hung"]
 """How a task ended without an answer: an exception, the death of its process, or its time limit."""
 
+START_TIMEOUT_S = 600.0
+"""A process that is not ready after so long never will be."""
+
 _log = logging.getLogger(__name__)
 _spawn = multiprocessing.get_context("spawn")
 
@@ -118,7 +121,8 @@ class _Worker(Generic[T, R]):
 
     def give(self, job: _Job[T], timeout_s: float) -> None:
         self.job = job
-        self.deadline = time.monotonic() + timeout_s
+        # Starting up, which loads the simulator, is not part of the task's time.
+        self.deadline = time.monotonic() + (timeout_s if self.ready else START_TIMEOUT_S)
         # A process that died meanwhile is noticed by its closed pipe when its news is read.
         with contextlib.suppress(OSError):
             self.pipe.send(job.task)
@@ -183,7 +187,6 @@ def _hear(
     assert job is not None
     if message is not None and message.ready:
         worker.ready = True
-        # Starting up, which loads the simulator, is not part of the task's time.
         worker.deadline = time.monotonic() + timeout_s
         return None
     if message is not None and message.user_error is not None:

@@ -132,12 +132,16 @@ def _connect(address: str | None, workers: int) -> Any:
         ) from None
     if ray.is_initialized():
         return ray
-    address = address or os.environ.get("RAY_ADDRESS")
-    here: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False}
+    # Without "local", Ray would join whatever cluster it finds on this machine.
+    address = address or os.environ.get("RAY_ADDRESS") or "local"
+    # A cluster of one's own listens to this machine alone.
+    here: dict[str, Any] = {
+        "num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1",
+    }  # fmt: skip
     try:
         ray.init(
             address=address, log_to_driver=False, logging_level=logging.WARNING,
-            **({} if address else here),
+            **(here if address == "local" else {}),
         )  # fmt: skip
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise SetupError(

@@ -32,7 +32,7 @@ from codediffuser.datagen.task import get_task
 from codediffuser.errors import BelowTargetError
 from codediffuser.files import TEMPORARY_PREFIX
 
-NODE = {"num_cpus": 1, "object_store_memory": 80_000_000}
+NODE = {"num_cpus": 1, "object_store_memory": 80_000_000, "node_ip_address": "127.0.0.1"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def _sabotaged(run: Path, options: CollectOptions) -> Iterator[str | list[str]]:
                 yield _kill_worker(run)
             if number == 2:
                 cluster.remove_node(doomed, allow_graceful=False)
-                yield f"killed a node; alive: {sum(n['Alive'] for n in ray.nodes())}"
+                yield "killed a node"
     finally:
         ray.shutdown()
         cluster.shutdown()
