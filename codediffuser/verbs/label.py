@@ -66,7 +66,8 @@ class Label(Verb):
         return self._serve()
 
     def _serve(self) -> str:
-        from codediffuser.labeling.gui.app import LabelApp, check_access
+        from codediffuser.labeling.gui.access import check_access
+        from codediffuser.labeling.gui.app import LabelApp
         from codediffuser.labeling.gui.desk import Desk
 
         token = os.environ.get(TOKEN_VARIABLE)

@@ -23,10 +23,11 @@ from codediffuser.datagen.episode import Episode, list_episodes
 from codediffuser.datagen.episode_format import EPISODES
 from codediffuser.datagen.task import Task
 from codediffuser.errors import BelowTargetError, EpisodeError
-from codediffuser.labeling.gui.app import LabelApp, Tab
+from codediffuser.labeling.gui.app import LabelApp
 from codediffuser.labeling.gui.desk import Desk
 from codediffuser.labeling.gui.episode_scene import EpisodeScene
 from codediffuser.labeling.gui.scripted import ScriptedOperator, open_browser
+from codediffuser.labeling.gui.tab import Tab
 from codediffuser.labeling.index import LABELING
 from codediffuser.labeling.instances import INSTANCE_SOURCES, SelectableInstance
 from codediffuser.labeling.oracle_source import OracleSource

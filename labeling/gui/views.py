@@ -20,6 +20,9 @@ from codediffuser.labeling.gui.pictures import outlines
 from codediffuser.labeling.gui.planes import PicturePlane, Plane, TopPlane, Viewpoint
 from codediffuser.poses import matrix_to_quat_wxyz
 
+ClientHandle = viser.ClientHandle
+"""A browser tab, as viser knows it."""
+
 GREY = (128, 128, 128)
 PALE = (205, 205, 205)
 """Taken places."""

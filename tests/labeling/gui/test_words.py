@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from codediffuser.errors import ConfigError
-from codediffuser.labeling.gui.app import LocalServer, check_access
+from codediffuser.labeling.gui.access import check_access
+from codediffuser.labeling.gui.app import LocalServer
 from codediffuser.labeling.gui.keys import KEYS, Action
 from codediffuser.labeling.gui.session import Session
 from codediffuser.labeling.gui.texts import escape, headline, keys_table, notes
