@@ -22,6 +22,7 @@ from codediffuser.datagen.instructions.components import (
     extremes,
 )
 from codediffuser.datagen.instructions.mug_components import BranchAt, MugCalled
+from codediffuser.datagen.mug_check import SuccessConfig, check_hung, hanging_failure
 from codediffuser.datagen.mug_hanging import HangingConfig, hang_mug_moves
 from codediffuser.datagen.mug_meshes import mug_geometry
 from codediffuser.datagen.mug_shapes import (
@@ -30,7 +31,6 @@ from codediffuser.datagen.mug_shapes import (
     Range,
     draw_mug_shape,
     mug_from_above,
-    passes_handle,
 )
 from codediffuser.datagen.mug_tree import (
     TREE,
@@ -47,7 +47,6 @@ from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
 from codediffuser.datagen.task import (
     TASKS,
     Check,
-    Condition,
     Geometry,
     Layout,
     Move,
@@ -57,20 +56,13 @@ from codediffuser.datagen.task import (
     TaskConfig,
 )
 from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.datagen.views import TrajectoryView
 from codediffuser.errors import ConfigError, PlacementError
 from codediffuser.poses import matrix_to_quat_wxyz, rotation_z
 from codediffuser.registry import unknown_name
 from codediffuser.schema import Strict
 
-LIFTED_M = 0.03
-"""A mug that has risen by this much was lifted."""
-
 LABEL_WIDTH_M = 0.09
 """Room for the names of branches beside the tree, in reset pictures."""
-
-NEAR_BRANCH_M = 0.12
-"""A mug that came this near to the place of a branch was to be hung there."""
 
 
 class AreaConfig(Strict):
@@ -121,21 +113,6 @@ class ResetImageConfig(Strict):
     pad_margin_m: float
     """How far the pad reaches beyond the areas of the mugs' middles."""
     cross_spacing_m: float
-
-
-class SuccessConfig(Strict):
-    """Thresholds of `check_success`."""
-
-    max_dx_m: float
-    """Between the mug's middle and the place on the branch, along x."""
-    max_below_branch_m: float
-    """How far the mug's middle may lie below that place."""
-    min_above_table_m: float
-    """Of the lowest point of the mug's body."""
-    min_opening_m: float
-    min_hand_distance_m: float
-    max_speed_mps: float
-    max_spin_radps: float
 
 
 class HangMugConfig(TaskConfig):
@@ -305,85 +282,12 @@ class HangMug(Task[HangMugConfig]):
 
     def check_success(self, view: SceneView, pairs: Sequence[Pair]) -> Check:
         """The supplement's two criteria, and also: around the branch, let go, hanging still."""
-        judged = [Check(pair, self._conditions(view, pair)) for pair in pairs]
-        if not judged:
-            return Check(None, ())
-        return max(
-            judged, key=lambda c: (sum(x.holds for x in c.conditions), -c.conditions[0].value)
-        )
-
-    def _released(self, view: SceneView, mug_id: str) -> bool:
-        limits = self.config.success
-        away = view.T_world_hand()[:3, 3] - view.T_world_object(mug_id)[:3, 3]
-        return (
-            view.gripper_opening_m() > limits.min_opening_m
-            or float(np.linalg.norm(away)) > limits.min_hand_distance_m
-        )
-
-    def _conditions(self, view: SceneView, pair: Pair) -> tuple[Condition, ...]:
-        limits, (mug_id, branch_id) = self.config.success, pair
-        T = view.T_world_object(mug_id)
-        shape = MugShape.of(view.scene.object(mug_id).shape)
-        hang = tree_branches(tree_of(view.scene))[branch_id].at(
-            self._ranges(view.scene.variant).tree.hang_m
-        )
-        dx, below = abs(float(T[0, 3] - hang[0])), float(hang[2] - T[2, 3])
-        around = branches_in_handle(view, mug_id) == [branch_id]
-        above = shape.lowest_z_m(T)
-        opening = view.gripper_opening_m()
-        released = self._released(view, mug_id)
-        speed, spin = view.object_speed(mug_id)
-        return (
-            Condition("dx_m", dx, limits.max_dx_m, dx < limits.max_dx_m),
-            Condition(
-                "below_branch_m", below, limits.max_below_branch_m,
-                0 <= below <= limits.max_below_branch_m,
-            ),
-            Condition("around_branch", float(around), 1.0, around),
-            Condition(
-                "above_table_m", above, limits.min_above_table_m, above > limits.min_above_table_m
-            ),
-            Condition("released_opening_m", opening, limits.min_opening_m, released),
-            Condition("speed_mps", speed, limits.max_speed_mps, speed < limits.max_speed_mps),
-            Condition("spin_radps", spin, limits.max_spin_radps, spin < limits.max_spin_radps),
-        )  # fmt: skip
+        hang_m = self._ranges(view.scene.variant).tree.hang_m
+        return check_hung(self.config.success, hang_m, view, pairs)
 
     def failure_phase(self, scene: SceneSpec, trajectory: Trajectory, pairs: Sequence[Pair]) -> str:
         """Phase and what happened in it: `grasp:missed`, `insert:missed_branch`, ..."""
-        mugs = [o.id for o in scene.pickable]
-        rows = [trajectory.object_ids.index(i) for i in mugs]
-        heights = trajectory.object_position_m[:, rows, 2]
-        rise = (heights - heights[0]).max(axis=0)
-        if rise.max() < LIFTED_M:
-            upright = min(trajectory.T_world_object(i, -1)[2, 2] for i in mugs)
-            return "grasp:tipped" if upright < 0.9 else "grasp:missed"
-        handled = mugs[int(np.argmax(rise))]
-        if handled not in {pick for pick, _ in pairs}:
-            return "grasp:wrong_object"
-        end = TrajectoryView(scene, trajectory)
-        on = branches_in_handle(end, handled)
-        if not self._released(end, handled):
-            return "release:not_released" if on else "transport:timeout"
-        if on:
-            allowed = len(on) == 1 and (handled, on[0]) in pairs
-            return "release:not_at_rest" if allowed else "place:wrong_branch"
-        views = [TrajectoryView(scene, trajectory, k) for k in range(trajectory.num_steps + 1)]
-        if any(branches_in_handle(view, handled) for view in views):
-            return "release:fell_off"
-        path = trajectory.object_position_m[:, trajectory.object_ids.index(handled)]
-        places = np.array([place.position_m for place in scene.places])
-        nearest = np.linalg.norm(path[:, None] - places, axis=-1).min()
-        return "insert:missed_branch" if nearest < NEAR_BRANCH_M else "transport:dropped"
-
-
-def branches_in_handle(view: SceneView, mug_id: str) -> list[str]:
-    """Names of the branches, used or not, whose axis runs through a mug's handle."""
-    T, shape = view.T_world_object(mug_id), MugShape.of(view.scene.object(mug_id).shape)
-    return [
-        name
-        for name, branch in tree_branches(tree_of(view.scene)).items()
-        if passes_handle(shape, T, branch.at(0.0), branch.at(branch.length_m))
-    ]
+        return hanging_failure(self.config.success, scene, trajectory, pairs)
 
 
 def _must_be(what: str, asked: int | None, count: int) -> None:

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from codediffuser.datagen.drawing import HANDLE, Disc, Line, Text
+from codediffuser.datagen.mug_check import branches_in_handle
 from codediffuser.datagen.mug_hanging import FINGER_REACH_M, R_WORLD_HAND_DOWN, HangingPlan
 from codediffuser.datagen.mug_shapes import MugShape, passes_handle
 from codediffuser.datagen.mug_tree import tree_branches, tree_of
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
 from codediffuser.datagen.task import Move
-from codediffuser.datagen.tasks.hang_mug import HangMug, HangMugConfig, branches_in_handle
+from codediffuser.datagen.tasks.hang_mug import HangMug, HangMugConfig
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.errors import ConfigError, PlacementError
 from codediffuser.poses import make_transform, matrix_to_quat_wxyz, rotation_z
