@@ -1,19 +1,17 @@
 """Small plots as SVG text that takes its colours from the page, so light and dark both work.
 
 Drawn here rather than by matplotlib: the report needs five simple shapes, readable on a phone,
-whose text is text and whose colours follow the reader's theme. Every drawing is `WIDTH` units wide
-and scales with the page.
+whose text is text and whose colours follow the reader's theme.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from html import escape
 
+from codediffuser import svg
 from codediffuser.eval.results import CellValue, RateValue
 
-WIDTH = 350
 _LEFT = 122
 _RIGHT = 14
 
@@ -28,33 +26,33 @@ def interval_plot(rows: Sequence[tuple[str, str, RateValue]]) -> str:
     parts = [_percent_axis(top, top + step * len(rows))]
     for i, (label, css, value) in enumerate(rows):
         y = top + step * (i + 0.5)
-        parts.append(_text(_LEFT - 10, y + 4, label, "end label"))
+        parts.append(svg.text(_LEFT - 10, y + 4, label, "end label"))
         if value.share is None:
-            parts.append(_text(_LEFT + 4, y + 4, "no scene", "note"))
+            parts.append(svg.text(_LEFT + 4, y + 4, "no scene", "note"))
             continue
         low, high, middle = (_percent_x(v) for v in (value.low, value.high, value.share))
         tip = f"{label}: {value.successes} of {value.trials}, {_range(value)}"
-        dot = f'<circle class="dot" cx="{middle:.1f}" cy="{y}" r="5.5"/>'
-        parts.append(_group(css, tip, _line("whisker", low, y, high, y), dot))
+        dot = svg.circle("dot", middle, y, 5.5)
+        parts.append(svg.group(css, tip, svg.line("whisker", low, y, high, y), dot))
         # The count goes to whichever side of the interval has room.
         x, side = (low - 8, "end ") if low > _LEFT + 40 else (high + 8, "")
-        parts.append(_text(x, y + 4, f"{value.successes}/{value.trials}", f"{side}count"))
-    return _svg(top + step * len(rows) + 26, parts, "Shares with 95 % intervals")
+        parts.append(svg.text(x, y + 4, f"{value.successes}/{value.trials}", f"{side}count"))
+    return svg.drawing(top + step * len(rows) + 26, parts, "Shares with 95 % intervals")
 
 
 def bar_plot(counts: Mapping[str, int]) -> str:
     """Horizontal bars, one per named count, in the order given."""
     step, top, left = 30, 4, 146
     most = max(counts.values(), default=1)
-    room = WIDTH - left - _RIGHT - 24
+    room = svg.WIDTH - left - _RIGHT - 24
     parts = []
     for i, (name, count) in enumerate(counts.items()):
         y, width = top + step * i, room * count / most
-        bar = _rect("bar", left, y + 5, width, step - 10, radius=4)
-        parts.append(_group("bad", f"{name}: {count}", bar))
-        parts.append(_text(left - 10, y + step / 2 + 4, name, "end label"))
-        parts.append(_text(left + width + 7, y + step / 2 + 4, str(count), "count"))
-    return _svg(top + step * len(counts) + 4, parts, "Failures by phase")
+        bar = svg.rect("bar", left, y + 5, width, step - 10, radius=4)
+        parts.append(svg.group("bad", f"{name}: {count}", bar))
+        parts.append(svg.text(left - 10, y + step / 2 + 4, name, "end label"))
+        parts.append(svg.text(left + width + 7, y + step / 2 + 4, str(count), "count"))
+    return svg.drawing(top + step * len(counts) + 4, parts, "Failures by phase")
 
 
 def heat_map(cells: Sequence[CellValue]) -> str:
@@ -62,7 +60,7 @@ def heat_map(cells: Sequence[CellValue]) -> str:
     picks = sorted({c.picks for c in cells})
     places = sorted({c.places for c in cells})
     left, top = 30, 6
-    wide = min(56.0, (WIDTH - left - 4) / max(1, len(places)))
+    wide = min(56.0, (svg.WIDTH - left - 4) / max(1, len(places)))
     tall = min(wide, 40.0)
     parts = []
     for cell in cells:
@@ -72,19 +70,21 @@ def heat_map(cells: Sequence[CellValue]) -> str:
         tip = f"{cell.picks} x {cell.places}: {cell.successes} of {cell.trials}"
         ink = "mid count on-fill" if share > 0.55 else "mid count"
         parts.append(
-            _group(
-                "good", tip, _rect("cell", *box, radius=4),
-                _rect("heat", *box, radius=4, opacity=share),
-                _text(x + wide / 2, y + tall / 2 + 4, f"{cell.successes}/{cell.trials}", ink),
+            svg.group(
+                "good", tip, svg.rect("cell", *box, radius=4),
+                svg.rect("heat", *box, radius=4, opacity=share),
+                svg.text(x + wide / 2, y + tall / 2 + 4, f"{cell.successes}/{cell.trials}", ink),
             )
         )  # fmt: skip
     bottom = top + tall * len(picks)
     for i, n in enumerate(picks):
-        parts.append(_text(left - 8, top + tall * (i + 0.5) + 4, str(n), "end tick"))
+        parts.append(svg.text(left - 8, top + tall * (i + 0.5) + 4, str(n), "end tick"))
     for i, n in enumerate(places):
-        parts.append(_text(left + wide * (i + 0.5), bottom + 15, str(n), "mid tick"))
-    parts.append(_text(left, bottom + 33, "columns: free places · rows: objects to pick", "note"))
-    return _svg(bottom + 40, parts, "Success by ambiguity")
+        parts.append(svg.text(left + wide * (i + 0.5), bottom + 15, str(n), "mid tick"))
+    parts.append(
+        svg.text(left, bottom + 33, "columns: free places · rows: objects to pick", "note")
+    )
+    return svg.drawing(bottom + 40, parts, "Success by ambiguity")
 
 
 def histogram(
@@ -103,13 +103,13 @@ def histogram(
         limit: Values beyond it are collected in the last bar; None takes the largest value.
     """
     top, bottom, left = 20, 118, 20
-    room = WIDTH - 2 * left
+    room = svg.WIDTH - 2 * left
     high = limit if limit is not None else max([*values, threshold * 1.2])
     counts = {True: [0] * bins, False: [0] * bins}
     for value, good in zip(values, holds, strict=True):
         counts[good][min(bins - 1, max(0, int(value / high * bins)))] += 1
     most = max(1, *(a + b for a, b in zip(counts[True], counts[False], strict=True)))
-    parts = [_line("axis", left, bottom, left + room, bottom)]
+    parts = [svg.line("axis", left, bottom, left + room, bottom)]
     for i in range(bins):
         y = float(bottom)
         span = f"{high * scale * i / bins:.3g} to {high * scale * (i + 1) / bins:.3g} {unit}"
@@ -118,81 +118,51 @@ def histogram(
                 tall = (bottom - top) * counts[good][i] / most
                 y -= tall
                 x = left + room * i / bins
-                bar = _rect("bar", x + 0.6, y, room / bins - 1.2, tall, radius=1.5)
-                parts.append(_group(css, f"{span}: {counts[good][i]}", bar))
+                bar = svg.rect("bar", x + 0.6, y, room / bins - 1.2, tall, radius=1.5)
+                parts.append(svg.group(css, f"{span}: {counts[good][i]}", bar))
     x = left + room * min(1.0, threshold / high)
-    parts.append(_line("threshold", x, top - 8, x, bottom))
-    parts.append(_text(x - 5, top - 2, f"limit {threshold * scale:.3g} {unit}", "end note"))
+    parts.append(svg.line("threshold", x, top - 8, x, bottom))
+    parts.append(svg.text(x - 5, top - 2, f"limit {threshold * scale:.3g} {unit}", "end note"))
     beyond = max(values, default=0.0) > high
     for i in range(5):
         label = ("≥ " if beyond and i == 4 else "") + f"{high * scale * i / 4:.3g}"
-        parts.append(_text(left + room * i / 4, bottom + 16, label, "mid tick"))
-    parts.append(_text(left + room / 2, bottom + 30, unit, "mid note"))
-    return _svg(bottom + 36, parts, "Distribution of a measured condition")
+        parts.append(svg.text(left + room * i / 4, bottom + 16, label, "mid tick"))
+    parts.append(svg.text(left + room / 2, bottom + 30, unit, "mid note"))
+    return svg.drawing(bottom + 36, parts, "Distribution of a measured condition")
 
 
 def time_curve(first_success_steps: Sequence[int], trials: int, max_steps: int, hz: float) -> str:
     """Share of rollouts that have met every condition at least once by a given time."""
     top, bottom, left = 10, 128, 40
-    room, rise = WIDTH - left - 14, (bottom - top) / max(1, trials)
+    room, rise = svg.WIDTH - left - 14, (bottom - top) / max(1, trials)
     seconds = max_steps / hz
     parts = []
     for share in (0.0, 0.5, 1.0):
         y = bottom - (bottom - top) * share
-        parts.append(_line("grid", left, y, left + room, y))
-        parts.append(_text(left - 8, y + 4, f"{share:.0%}", "end tick"))
+        parts.append(svg.line("grid", left, y, left + room, y))
+        parts.append(svg.text(left - 8, y + 4, f"{share:.0%}", "end tick"))
     path = f"M{left},{bottom}"
     for done, step in enumerate(sorted(first_success_steps), start=1):
         path += f"H{left + room * step / max_steps:.1f}V{bottom - rise * done:.1f}"
     parts.append(f'<path class="curve" d="{path}H{left + room:.1f}"/>')
     whole = max(1, math.ceil(seconds / 5))
     for t in range(0, math.floor(seconds) + 1, whole):
-        parts.append(_text(left + room * t / seconds, bottom + 16, f"{t} s", "mid tick"))
-    return _svg(bottom + 22, parts, "Share of rollouts that have succeeded by a time")
+        parts.append(svg.text(left + room * t / seconds, bottom + 16, f"{t} s", "mid tick"))
+    return svg.drawing(bottom + 22, parts, "Share of rollouts that have succeeded by a time")
 
 
 def _percent_x(share: float) -> float:
-    return _LEFT + (WIDTH - _LEFT - _RIGHT) * share
+    return _LEFT + (svg.WIDTH - _LEFT - _RIGHT) * share
 
 
 def _percent_axis(top: float, bottom: float) -> str:
     parts = []
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         x = _percent_x(share)
-        parts.append(_line("grid", x, top, x, bottom))
-        parts.append(_text(x, bottom + 16, f"{share:.0%}", "mid tick"))
+        parts.append(svg.line("grid", x, top, x, bottom))
+        parts.append(svg.text(x, bottom + 16, f"{share:.0%}", "mid tick"))
     return "".join(parts)
 
 
 def _range(value: RateValue) -> str:
     return f"{value.share:.0%} [{100 * value.low:.0f}, {100 * value.high:.0f}]"
-
-
-def _group(css: str, tip: str, *parts: str) -> str:
-    return f'<g class="{css}"><title>{escape(tip)}</title>{"".join(parts)}</g>'
-
-
-def _line(css: str, x1: float, y1: float, x2: float, y2: float) -> str:
-    return f'<line class="{css}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
-
-
-def _rect(
-    css: str, x: float, y: float, width: float, height: float, *, radius: float,
-    opacity: float | None = None,
-) -> str:  # fmt: skip
-    filled = "" if opacity is None else f' fill-opacity="{opacity:.3f}"'
-    return (
-        f'<rect class="{css}" x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" '
-        f'height="{height:.1f}" rx="{radius}"{filled}/>'
-    )
-
-
-def _text(x: float, y: float, text: str, css: str) -> str:
-    return f'<text class="{css}" x="{x:.1f}" y="{y:.1f}">{escape(text)}</text>'
-
-
-def _svg(height: float, parts: Sequence[str], title: str) -> str:
-    return (
-        f'<svg class="plot" viewBox="0 0 {WIDTH} {height:.0f}" role="img" '
-        f'aria-label="{escape(title)}">{"".join(parts)}</svg>'
-    )

@@ -11,6 +11,7 @@ from codediffuser.datagen.trajectory import CONTROL_HZ
 from codediffuser.eval import plots
 from codediffuser.eval.results import ConditionSummary, EvalResults, RateValue, RolloutResult
 from codediffuser.files import write_text
+from codediffuser.report_page import markup, render_page
 
 TEMPLATE = Path(__file__).with_name("report_template.html")
 MAX_VIDEO_BYTES = 24_000_000
@@ -53,13 +54,9 @@ def write_report(results: EvalResults, folder: Path) -> Path:
 
 def render_report(results: EvalResults, folder: Path) -> str:
     """Build the page's text; see `write_report`."""
-    # Instructions and programs come from people and models: everything is escaped by default.
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     rollouts, summary = results.rollouts, results.summary
-    return template.render(
+    return render_page(
+        TEMPLATE,
         settings=results.settings,
         repro=results.reproducibility,
         summary=summary,
@@ -93,13 +90,13 @@ def _plots(results: EvalResults) -> dict[str, Any]:
     ]
     times = [r.first_success_step for r in results.rollouts if r.first_success_step is not None]
     return {
-        "by_kind": _safe(plots.interval_plot(rows)),
-        "attention_by_kind": _safe(plots.interval_plot(attention))
+        "by_kind": markup(plots.interval_plot(rows)),
+        "attention_by_kind": markup(plots.interval_plot(attention))
         if results.settings.attention == "language"
         else None,
-        "failures": _safe(plots.bar_plot(summary.failures)),
-        "ambiguity": _safe(plots.heat_map(summary.by_ambiguity)),
-        "time": _safe(
+        "failures": markup(plots.bar_plot(summary.failures)),
+        "ambiguity": markup(plots.heat_map(summary.by_ambiguity)),
+        "time": markup(
             plots.time_curve(times, len(results.rollouts), results.settings.max_steps, CONTROL_HZ)
         )
         if times
@@ -130,7 +127,7 @@ def _histogram(condition: ConditionSummary, results: EvalResults) -> _Histogram:
     return _Histogram(
         title=f"How close: {title}",
         note="Last state, nearest allowed pair; the last bar holds all that lie farther.",
-        svg=_safe(svg),
+        svg=markup(svg),
     )
 
 
@@ -157,13 +154,6 @@ def _read(folder: Path, name: str | None) -> bytes | None:
 
 def _encode(data: bytes | None) -> str | None:
     return None if data is None else base64.b64encode(data).decode()
-
-
-def _safe(svg: str) -> Any:
-    """Mark a drawing of our own as markup; its labels are escaped where it is drawn."""
-    from markupsafe import Markup
-
-    return Markup(svg)
 
 
 def _attention_sentence(results: EvalResults) -> str:
