@@ -1,0 +1,1 @@
+"""Looking at runs and exports: summary, HTML report, Rerun files, a browser window."""
