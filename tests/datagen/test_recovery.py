@@ -16,6 +16,7 @@ from codediffuser.datagen.recovery import (
     recovery_record,
 )
 from codediffuser.datagen.scene import SceneSpec, SeedKey
+from codediffuser.datagen.scene_sampler import sample_scene
 from codediffuser.datagen.task import TASKS, Move, get_task
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.errors import ConfigError
@@ -134,9 +135,17 @@ def test_actions_and_the_stored_push_give_the_states_again(
     np.testing.assert_array_equal(physics.view.moment().qpos, pushed.trajectory.qpos[-1])
 
 
-@pytest.mark.parametrize("task", TASKS.names())
-def test_every_task_has_phases_that_can_be_pushed(task: str, physics: SceneEnv) -> None:
-    assert get_task(task).push_phases
+@pytest.mark.parametrize(
+    ("task", "phase"), [(t, p) for t in TASKS.names() for p in get_task(t).push_phases]
+)
+def test_every_task_makes_pushes_good_in_all_its_phases(task: str, phase: str) -> None:
+    from codediffuser.datagen.envs import physics_env
+    from codediffuser.datagen.script import run_expert
+
+    scene = sample_scene(get_task(task), root_seed=0, index=0)
+    run = run_expert(physics_env(task, scene), scene, np.random.default_rng(0), a_push(phase=phase))
+    assert run.pushed_at is not None and run.phases[run.pushed_at] == phase
+    assert run.success, run.failure_reason
 
 
 def _pose(action: np.ndarray) -> np.ndarray:
