@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from codediffuser.datasets.importing.bench import tree_hash
+from codediffuser.datasets.importing.bench import contents
 from codediffuser.datasets.importing.big_bag import bag_config, make_bag
 from codediffuser.datasets.importing.run import import_recordings
 from codediffuser.files import TEMPORARY_PREFIX
@@ -31,7 +31,7 @@ def test_killed_imports_end_equal(tmp_path, python):
     for _ in import_recordings(source, config, tmp_path / "whole"):
         pass
     whole_s = time.monotonic() - start
-    expected, moments = tree_hash(tmp_path / "whole"), random.Random(4)
+    expected, moments = contents(tmp_path / "whole"), random.Random(4)
     run = tmp_path / "cut"
     partials = 0
     arguments = [python, "-c", SCRIPT, str(source), str(tmp_path / "import.yaml"), str(run)]
@@ -45,7 +45,7 @@ def test_killed_imports_end_equal(tmp_path, python):
     for _ in import_recordings(source, config, run):
         pass
     assert partials > 0
-    assert tree_hash(run) == expected
+    assert contents(run) == expected
 
 
 @pytest.mark.slow
@@ -54,4 +54,4 @@ def test_workers_change_nothing(tmp_path):
     for name, workers in (("one", 1), ("two", 2)):
         for _ in import_recordings(source, bag_config(10), tmp_path / name, workers=workers):
             pass
-    assert tree_hash(tmp_path / "one") == tree_hash(tmp_path / "two")
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
