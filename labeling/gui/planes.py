@@ -72,7 +72,11 @@ class TopPlane:
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 2) at the height of the plane."""
-        return np.column_stack([points, np.full(len(points), self.z_m)])
+        return self.at(points, self.z_m)
+
+    def at(self, points: np.ndarray, z_m: float) -> np.ndarray:
+        """Points (N, 2) at another height."""
+        return np.column_stack([points, np.full(len(points), z_m)])
 
     def from_ray(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """World x and y where a ray comes to the height of the plane."""

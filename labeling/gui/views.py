@@ -94,10 +94,8 @@ class TopView:
         span = float(np.min(self.plane.high - self.plane.low))
         plane, top = self.plane, max((m.height_m for m in self._marks.values()), default=0.0)
         hulls = self.picker.territories(span * CELL_SHARE, HOVER_M)
-        lids = (
-            plane.to_world,
-            lambda at: plane.to_world(at) + np.array([0.0, 0.0, top - plane.z_m]),
-        )
+        # Over everything, so that the halo of one slot is not hidden by its neighbours.
+        lids = (lambda at: plane.at(at, top), lambda at: plane.at(at, top + 0.003))
         _add_territories(client, "/top/near", hulls, lids)
         self._shown: Selection = ()
 
