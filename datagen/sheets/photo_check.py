@@ -168,7 +168,8 @@ def locate(sheet: PadSheet, seen: dict[int, np.ndarray]) -> PadView:
         raise ConfigError(
             f"{sheet.title}: expected its tags to fit a plane within {MAX_RESIDUAL_MM} mm, got "
             f"{residual_mm:.1f} mm ({residual_px:.1f} px). Is the sheet flat, printed at 100 % "
-            "(check its ruler), its tiles joined at the cut marks, and the photo free of fisheye?"
+            "(check its ruler), its tiles joined at the cut marks, are its tags 40 pixels wide or "
+            "more, and is the photo free of fisheye?"
         )
     return PadView(sheet, H, tuple(name for name, _ in found), residual_px, residual_mm)
 

@@ -103,13 +103,16 @@ def test_the_pad_of_another_task_or_variant_is_named(
         find_pads(rgb, get_task(name), variant)
 
 
-def test_a_pad_printed_before_the_yaml_changed_is_another_pad(battery_photo: Photo) -> None:
-    old = PackBattery()
-    picture = old.config.reset_image.model_copy(update={"cross_spacing_m": 0.03})
-    new = PackBattery(old.config.model_copy(update={"reset_image": picture}))
-    rgb, _ = battery_photo
+def test_a_pad_printed_before_the_yaml_changed_is_another_pad(
+    battery_photo: Photo, printed: Any, photograph: Photograph, pack_battery: PackBattery
+) -> None:
+    picture = pack_battery.config.reset_image.model_copy(update={"cross_spacing_m": 0.03})
+    other = PackBattery(pack_battery.config.model_copy(update={"reset_image": picture}))
     with pytest.raises(ConfigError, match="found that of pack_battery · sim"):
-        find_pads(rgb, new, "sim")
+        find_pads(battery_photo[0], other, "sim")
+    old, _ = photograph(printed(other, "sim"))
+    with pytest.raises(ConfigError, match=r"of a pad that no task has; .* Print pads"):
+        find_pads(old, pack_battery, "sim")
 
 
 def test_tiles_joined_wrongly_are_refused_with_the_residual(battery_print: Any) -> None:
