@@ -18,18 +18,8 @@ def render_png(drawing: Drawing) -> bytes:
     return png_bytes(render(lay_out(drawing), DPI))
 
 
-def render_svg(drawing: Drawing) -> bytes:
-    """Write a drawing as vectors; the same drawing gives the same bytes everywhere."""
-    return svg_bytes(lay_out(drawing))
-
-
 def save_pictures(drawing: Drawing, png_path: Path) -> None:
     """Write the SVG and, last, the PNG beside it; each whole or not at all."""
     page = lay_out(drawing)
     write_bytes(png_path.with_suffix(".svg"), svg_bytes(page))
     write_bytes(png_path, png_bytes(render(page, DPI)))
-
-
-def save_png(drawing: Drawing, path: Path) -> None:
-    """Write the picture whole or not at all."""
-    write_bytes(path, render_png(drawing))

@@ -6,7 +6,7 @@ import pytest
 
 from codediffuser.datagen import drawing
 from codediffuser.datagen.drawing import Arrow, Box, Cross, Disc, Drawing, Text
-from codediffuser.datagen.reset_image import render_png, save_png
+from codediffuser.datagen.reset_image import render_png, save_pictures
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.task import Observer
 from codediffuser.datagen.tasks.pack_battery import PackBattery
@@ -89,8 +89,9 @@ def test_everything_is_inside_the_page(scenes: list[SceneSpec], pack_battery: Pa
 def test_the_same_drawing_gives_the_same_bytes(picture: Drawing, tmp_path: Path) -> None:
     first = render_png(picture)
     assert first == render_png(picture)
-    save_png(picture, tmp_path / "a.png")
+    save_pictures(picture, tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes() == first
+    assert picture.sentence.split()[0] in (tmp_path / "a.svg").read_text()
 
 
 def test_pixels_show_the_world_with_plus_y_up_and_plus_x_right(
