@@ -199,7 +199,7 @@ def _rows(source: Source, keys: set[str]) -> Any:
         for name, rgb in frame.rgb.items():
             masks = source.masks(frame, name)
             if not portable:
-                row[image_key(name)] = rgb * masks.any(axis=0)[..., None]
+                row[image_key(name)] = rgb * np.asarray(masks.any(axis=0))[..., None]
                 continue
             camera = source.camera_at(name, frame.index)
             row[image_key(name)] = rgb

@@ -82,7 +82,8 @@ def joint_states(episode: Episode) -> tuple[tuple[str, ...], np.ndarray, np.ndar
     Raises:
         EpisodeError: The log holds none.
     """
-    positions, velocities, names = [], [], ()
+    positions, velocities = [], []
+    names: tuple[str, ...] = ()
     with episode.log_path.open("rb") as stream:
         for _, _, message in make_reader(stream).iter_messages(topics=[fmt.JOINT_STATES]):
             names, position, velocity = ros.decode_joint_state(message.data)

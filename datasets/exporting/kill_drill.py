@@ -22,6 +22,7 @@ import numpy as np
 import tyro
 
 from codediffuser.datagen.episode import list_episodes
+from codediffuser.datasets.export_meta import CARD, DOCUMENT, OTHER_DOCUMENT, DatasetDocument
 from codediffuser.datasets.exporting.format import format_for
 from codediffuser.errors import DatasetError
 from codediffuser.files import sha256_file
@@ -47,6 +48,7 @@ class Kill:
     """One disturbed call."""
 
     after_s: float
+    """Since the call began its first part."""
     finished: bool
     """Whether it was faster than the signal."""
     parts: int
@@ -68,12 +70,15 @@ def drill(options: Options, scratch: Path) -> Iterator[Kill]:
         for folder in list_episodes(options.run)[: options.num_episodes]:
             shutil.copytree(folder, scratch / name / "run" / "episodes" / folder.name)
     whole, run = scratch / "whole" / "run", scratch / "run" / "run"
+    process = _convert(options, whole)
+    _wait_for_work(process, whole)
     started = time.monotonic()
-    _convert(options, whole).wait()
+    process.wait()
     takes_s = time.monotonic() - started
-    moments = rng_for(options.seed, Stage.EXPERT, 0).uniform(0.1, 1.0, options.kills) * takes_s
+    moments = rng_for(options.seed, Stage.EXPERT, 0).uniform(0.0, 1.0, options.kills) * takes_s
     for after_s in moments:
         process = _convert(options, run)
+        _wait_for_work(process, run)
         try:
             process.wait(timeout=float(after_s))
             finished = True
@@ -96,6 +101,14 @@ def drill(options: Options, scratch: Path) -> Iterator[Kill]:
         raise DatasetError(f"{run}: the last call left {left or 'its parts'} behind")
 
 
+def _wait_for_work(process: subprocess.Popen[bytes], run: Path) -> None:
+    """Let a call load its libraries: until it makes its first part, or has ended."""
+    kept = run / ".cache" / "convert"
+    before = set(kept.glob("*"))
+    while process.poll() is None and set(kept.glob("*")) <= before:
+        time.sleep(0.01)
+
+
 def _convert(options: Options, run: Path) -> subprocess.Popen[bytes]:
     words = ["convert", str(run), "--to", options.to, "--profile", options.profile]
     return subprocess.Popen(
@@ -106,8 +119,15 @@ def _convert(options: Options, run: Path) -> subprocess.Popen[bytes]:
 
 
 def _contents(root: Path) -> dict[str, str]:
-    files = (path for path in root.rglob("*") if path.is_file())
-    return {path.relative_to(root).as_posix(): sha256_file(path) for path in files}
+    """Hashes of all files but the card, which quotes the commit; of the document, the content's."""
+    files = (path for path in root.rglob("*") if path.is_file() and path.name != CARD)
+    own = {Path(DOCUMENT).name, OTHER_DOCUMENT}
+    return {
+        path.relative_to(root).as_posix(): (
+            DatasetDocument.load(path).content_sha256 if path.name in own else sha256_file(path)
+        )
+        for path in files
+    }
 
 
 def _main() -> None:

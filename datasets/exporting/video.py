@@ -10,6 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import cv2
 import numpy as np
 from pydantic import Field
 
@@ -103,7 +104,10 @@ class VideoEncoder:
         expected = (self._stream.height, self._stream.width, 3)
         if rgb.shape != expected or rgb.dtype != np.uint8:
             raise ShapeError(f"video: expected {expected} uint8, got {rgb.shape} {rgb.dtype}")
-        frame = av.VideoFrame.from_ndarray(rgb, format="rgb24")
+        # Converted here, where the result depends on the pixels alone.
+        frame = av.VideoFrame.from_ndarray(
+            cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2YUV_I420), format=PIXEL_FORMAT
+        )
         frame.pts, frame.time_base = self.frames, Fraction(1, self._fps)
         self._container.mux(self._stream.encode(frame))
         self.frames += 1
