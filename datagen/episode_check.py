@@ -6,7 +6,7 @@ It reads every byte. Checks go on after a finding as long as what they need can 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from mcap.reader import make_reader
 from codediffuser.datagen import episode_format as fmt
 from codediffuser.datagen.episode import READ_ERRORS, Episode, load_manifest
 from codediffuser.datagen.episode_writer import step_time_ns
+from codediffuser.datagen.trajectory import ACTION_NAMES
 from codediffuser.datagen.views import moment_at
 from codediffuser.errors import CodeDiffuserError
 from codediffuser.files import sha256_file
@@ -23,12 +24,20 @@ from codediffuser.poses import matrix_to_rot6d
 
 # Float32 of a pose that went through a quaternion: a few units in the last place.
 POSE_TOLERANCE = 1e-5
+BLACK = 8
+"""A picture whose brightest value of 255 is below this shows nothing."""
+FROZEN_S = 1.0
+"""A camera that repeats itself for longer hangs, if something moved meanwhile."""
+STILL_M = 0.10
+"""The hand cannot cross this much of the scene unseen by a working camera."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One thing that is wrong."""
 
+    kind: str
+    """What sort of damage: `episode.bytes`, `dataset.time`, ...; docs/keeping.md lists them."""
     where: str
     """File or folder."""
     what: str
@@ -46,7 +55,8 @@ def check_episode(folder: Path) -> list[Finding]:
     try:
         episode = Episode(folder, load_manifest(folder))
     except CodeDiffuserError as error:
-        return [Finding(str(folder), str(error), "delete the folder and make the episode again")]
+        remedy = "delete the folder and make the episode again"
+        return [Finding("episode.manifest", str(folder), str(error), remedy)]
     findings = list(_check_files(episode))
     if findings:
         # What follows would only repeat in other words that bytes are missing or changed.
@@ -55,10 +65,12 @@ def check_episode(folder: Path) -> list[Finding]:
         try:
             findings += check(episode)
         except CodeDiffuserError as error:
-            findings.append(Finding(str(folder), str(error), episode.remedy))
+            findings.append(Finding("episode.unreadable", str(folder), str(error), episode.remedy))
         except READ_ERRORS as error:
             what = f"cannot be read ({type(error).__name__}: {error})"
-            findings.append(Finding(str(episode.log_path), what, episode.remedy))
+            findings.append(
+                Finding("episode.unreadable", str(episode.log_path), what, episode.remedy)
+            )
     return findings
 
 
@@ -68,12 +80,12 @@ def _check_files(episode: Episode) -> Iterator[Finding]:
         size = path.stat().st_size if path.is_file() else None
         if size != record.bytes:
             found = "no file" if size is None else f"{size} bytes"
-            yield Finding(
-                str(path), f"expected {record.bytes} bytes, found {found}", episode.remedy
-            )
+            kind = "episode.file-missing" if size is None else "episode.bytes"
+            what = f"expected {record.bytes} bytes, found {found}"
+            yield Finding(kind, str(path), what, episode.remedy)
         elif sha256_file(path) != record.sha256:
             what = f"its SHA-256 differs from the one in {fmt.MANIFEST}"
-            yield Finding(str(path), what, episode.remedy)
+            yield Finding("episode.hash", str(path), what, episode.remedy)
 
 
 def _check_messages(episode: Episode) -> Iterator[Finding]:
@@ -87,9 +99,8 @@ def _check_messages(episode: Episode) -> Iterator[Finding]:
     for topic in sorted(set(times) | set(manifest.topics)):
         found, expected = len(times[topic]), manifest.topics.get(topic, 0)
         if found != expected:
-            yield Finding(
-                log, f"{topic}: expected {expected} messages, found {found}", episode.remedy
-            )
+            what = f"{topic}: expected {expected} messages, found {found}"
+            yield Finding("episode.messages", log, what, episode.remedy)
     per_step = [*manifest.motion.step_topics]
     for camera in manifest.cameras:
         per_step.append(fmt.color_topic(camera.name))
@@ -98,15 +109,21 @@ def _check_messages(episode: Episode) -> Iterator[Finding]:
     expected_times = [step_time_ns(k, manifest.hz) for k in range(manifest.frames)]
     for topic in per_step:
         if times[topic] != expected_times:
-            what = f"{topic}: expected {manifest.frames} messages at every 1/{manifest.hz} s from 0"
-            yield Finding(log, f"{what}, found {len(times[topic])} at other times", episode.remedy)
+            what = (
+                f"{topic}: expected {manifest.frames} messages at every 1/{manifest.hz} s from 0, "
+                f"found {len(times[topic])} at other times"
+            )
+            yield Finding("episode.time", log, what, episode.remedy)
 
 
 def _check_pictures(episode: Episode) -> Iterator[Finding]:
-    """Size of every picture, and that each camera sees something."""
+    """Size of every picture, that each camera sees something, and that it keeps seeing."""
     cameras, log = {c.name: c for c in episode.manifest.cameras}, str(episode.log_path)
     seen = {name: not camera.depth for name, camera in cameras.items()}
     wrong: dict[str, int] = {}
+    black: dict[str, list[int]] = defaultdict(list)
+    repeats: dict[str, list[bool]] = defaultdict(list)
+    last: dict[str, np.ndarray] = {}
     for frame in episode.frames():
         for name, camera in cameras.items():
             shape = (camera.height, camera.width)
@@ -114,13 +131,51 @@ def _check_pictures(episode: Episode) -> Iterator[Finding]:
             if any(picture.shape[:2] != shape for picture in pictures):
                 wrong.setdefault(name, frame.index)
             seen[name] = seen[name] or bool(frame.depth_m[name].any())
+            if frame.rgb[name].max() < BLACK:
+                black[name].append(frame.index)
+            if name in last:
+                repeats[name].append(np.array_equal(last[name], frame.rgb[name]))
+            last[name] = frame.rgb[name]
     for name, index in wrong.items():
         shape = (cameras[name].height, cameras[name].width)
         what = f"camera '{name}': expected pictures of {shape}, frame {index} has others"
-        yield Finding(log, what, episode.remedy)
+        yield Finding("episode.picture-size", log, what, episode.remedy)
     for name in (n for n, anything in seen.items() if not anything):
         remedy = "check where the camera stands and looks, then draw the pictures again"
-        yield Finding(log, f"camera '{name}': no depth reading in any frame", remedy)
+        what = f"camera '{name}': no depth reading in any frame"
+        yield Finding("episode.no-depth", log, what, remedy)
+    remedy = "check the camera and its cable; record the episode again, or leave it out"
+    for name, frames in black.items():
+        what = f"camera '{name}': {len(frames)} black pictures, first {frames[0]}"
+        yield Finding("episode.black", log, what, remedy)
+    for name, same in repeats.items():
+        first, count = longest_repeat(same)
+        if count > FROZEN_S * episode.manifest.hz and _travelled_m(episode, first, count) > STILL_M:
+            what = f"camera '{name}': the same picture {count} times in a row from frame {first} on"
+            yield Finding("episode.frozen", log, f"{what}, while the hand moved", remedy)
+
+
+def longest_repeat(same_as_last: Sequence[bool]) -> tuple[int, int]:
+    """First picture of the longest run of equal ones, and how many there are.
+
+    Args:
+        same_as_last: For each picture but the first, whether it equals the one before.
+    """
+    best = (0, 1)
+    first = 0
+    for k, same in enumerate(same_as_last, start=1):
+        first = first if same else k
+        if k - first + 1 > best[1]:
+            best = (first, k - first + 1)
+    return best
+
+
+def _travelled_m(episode: Episode, first: int, count: int) -> float:
+    """Extent of the space that the hand crossed in some frames; 0 when its pose is not known."""
+    if tuple(episode.manifest.motion.action_names) != ACTION_NAMES:
+        return 0.0
+    positions = episode.actions[first : first + count, :3]
+    return float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0)))
 
 
 def _check_motion(episode: Episode) -> Iterator[Finding]:
@@ -129,13 +184,14 @@ def _check_motion(episode: Episode) -> Iterator[Finding]:
     for name, rows in (("state", state), ("actions", actions)):
         bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
         if len(bad):
-            yield Finding(log, f"{name} of frame {bad[0]} is not finite", episode.remedy)
+            what = f"{name} of frame {bad[0]} is not finite"
+            yield Finding("episode.not-finite", log, what, episode.remedy)
     if fmt.STATES not in episode.manifest.files:
         return
     states, trajectory = str(episode.folder / fmt.STATES), episode.trajectory
     if trajectory.num_steps != episode.num_frames:
         what = f"expected {episode.num_frames} actions, found {trajectory.num_steps}"
-        yield Finding(states, what, episode.remedy)
+        yield Finding("episode.states", states, what, episode.remedy)
         return
     moments = [moment_at(trajectory, k) for k in range(episode.num_frames)]
     hand = np.stack([trajectory.T_world_hand(k) for k in range(episode.num_frames)])
@@ -145,7 +201,7 @@ def _check_motion(episode: Episode) -> Iterator[Finding]:
         error = float(np.abs(rows - other).max())
         if error > POSE_TOLERANCE:
             what = f"{name} of the log differ by up to {error:.2g} from {fmt.STATES}"
-            yield Finding(log, what, episode.remedy)
+            yield Finding("episode.states", log, what, episode.remedy)
 
 
 def _check_scene(episode: Episode) -> Iterator[Finding]:
@@ -161,11 +217,13 @@ def _check_scene(episode: Episode) -> Iterator[Finding]:
     ):
         if found != expected:
             what = f"{key}: expected {expected!r} as in {fmt.MANIFEST}, found {found!r}"
-            yield Finding(str(episode.folder / fmt.SCENE), what, episode.remedy)
+            where = str(episode.folder / fmt.SCENE)
+            yield Finding("episode.scene", where, what, episode.remedy)
     moving = {o.id for o in scene.objects if not o.fixed}
     if fmt.STATES in manifest.files and set(episode.trajectory.object_ids) != moving:
         what = f"expected states of {sorted(moving)}, found {list(episode.trajectory.object_ids)}"
-        yield Finding(str(episode.folder / fmt.STATES), what, episode.remedy)
+        where = str(episode.folder / fmt.STATES)
+        yield Finding("episode.states", where, what, episode.remedy)
 
 
 def _check_outcome(episode: Episode) -> Iterator[Finding]:
@@ -173,8 +231,9 @@ def _check_outcome(episode: Episode) -> Iterator[Finding]:
     manifest, path = episode.manifest, str(episode.folder / fmt.MANIFEST)
     if episode.folder.name != manifest.id:
         what = f"says id '{manifest.id}', its folder is called '{episode.folder.name}'"
-        yield Finding(path, what, f"rename the folder to '{manifest.id}'")
+        remedy = f"rename the folder to '{manifest.id}'"
+        yield Finding("episode.renamed", path, what, remedy)
     failed = [c.name for c in manifest.conditions if not c.holds]
     if manifest.success and failed:
         what = f"says success, yet these conditions do not hold: {', '.join(failed)}"
-        yield Finding(path, what, episode.remedy)
+        yield Finding("episode.outcome", path, what, episode.remedy)

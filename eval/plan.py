@@ -11,7 +11,7 @@ from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
 from codediffuser.datagen.task import CameraConfig, Task, get_task
 from codediffuser.datasets.clouds import CloudConfig
-from codediffuser.datasets.export_meta import load_dataset_document
+from codediffuser.datasets.export_meta import cloud_config, load_dataset_document
 from codediffuser.errors import CheckpointError, ConfigError
 from codediffuser.eval.results import AttentionFrom, EvalSettings, Stress
 from codediffuser.files import remove_partials, sha256_file, sha256_json
@@ -190,8 +190,7 @@ def _learnt(checkpoint: Path, dataset: Path) -> tuple[str, CloudConfig]:
     from codediffuser.training.policy_document import load_policy_document
 
     if not (checkpoint / POLICY_FILE).is_file():
-        document = load_dataset_document(dataset)
-        return document.task, document.cloud
+        return load_dataset_document(dataset).task, cloud_config(dataset)
     policy = load_policy_document(checkpoint)
     return policy.task or load_dataset_document(dataset).task, policy.cloud
 

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from codediffuser.datasets.clouds import CloudConfig
@@ -68,3 +69,42 @@ def exported_run(
 
     made_once("exported", tmp_path / "run", make)
     return tmp_path / "run"
+
+
+@pytest.fixture
+def make_video_dataset() -> Callable[..., Path]:
+    """Write two episodes by LeRobot's writer; pictures tell dataset, episode and frame apart."""
+
+    def provide(
+        root: Path, shade: int = 1, frames: int = 5,
+        picture: Callable[[int], np.ndarray] | None = None,
+    ) -> Path:  # fmt: skip
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+        features = {
+            "observation.images.cam": {
+                "dtype": "video", "shape": (32, 48, 3), "names": ["height", "width", "channels"],
+            },
+            "observation.state": {"dtype": "float32", "shape": (2,), "names": ["a", "b"]},
+            "action": {"dtype": "float32", "shape": (2,), "names": ["a", "b"]},
+        }  # fmt: skip
+        dataset = LeRobotDataset.create("t/v", 10, features, root=root, vcodec="h264")
+        for episode in range(2):
+            for frame in range(frames):
+                value = 60 * shade + 30 * episode + 3 * frame
+                shown = np.full((32, 48, 3), value, np.uint8)
+                if picture is not None:
+                    shown = picture(frame).astype(np.uint8)
+                dataset.add_frame(
+                    {
+                        "observation.images.cam": shown,
+                        "observation.state": np.array([episode, frame], np.float32),
+                        "action": np.array([frame, shade], np.float32),
+                        "task": f"task {shade}",
+                    }
+                )
+            dataset.save_episode()
+        dataset.finalize()
+        return root
+
+    return provide

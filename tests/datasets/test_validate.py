@@ -159,7 +159,8 @@ def test_a_missing_feature_and_a_wrong_shape_are_found(exported_run: Path) -> No
     info = json.loads(path.read_text())
     info["features"][ACTION]["shape"] = [7]
     path.write_text(json.dumps(info))
-    assert f"{ACTION}: expected shape [10], found [7]" in whats(exported_run / "lerobot")
+    told = f"{ACTION}: expected shape [10] as it has names, found [7]"
+    assert told in whats(exported_run / "lerobot")
     del info["features"][ACTION]
     path.write_text(json.dumps(info))
     assert f"expected feature '{ACTION}' of dtype float32, got none" in whats(path.parent.parent)
@@ -170,7 +171,7 @@ def test_a_data_file_that_was_cut_or_lost_is_found(exported_run: Path) -> None:
     data.write_bytes(data.read_bytes()[:-9])
     assert "not readable" in whats(exported_run / "lerobot")
     data.unlink()
-    assert "no parquet files" in whats(exported_run / "lerobot")
+    assert "no such file, though meta/episodes names it" in whats(exported_run / "lerobot")
 
 
 def test_any_other_change_is_found_by_the_fingerprint(exported_run: Path) -> None:
