@@ -18,7 +18,8 @@ def svg_bytes(page: Page) -> bytes:
     head = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}pt" height="{height}pt" '
-        f'viewBox="0 0 {size}" xml:space="preserve" font-family="DejaVu Sans, Verdana, sans-serif">\n'
+        f'viewBox="0 0 {size}" xml:space="preserve" '
+        'font-family="DejaVu Sans, Verdana, sans-serif">\n'
         f'<rect width="{width}" height="{height}" fill="#ffffff"/>\n'
     )
     return (head + "\n".join(_elements(page)) + "\n</svg>\n").encode()
