@@ -134,7 +134,7 @@ def make_dataset(root: Path, points: int, episodes: int, frames: int = 100) -> P
     writer = LeRobotWriter(root, features, fps=FPS, robot_type="panda")
     rng = np.random.default_rng(0)
     for i in range(episodes):
-        data = {
+        data: dict[str, Any] = {
             POINTS: rng.random((frames, points * len(POINT_CHANNELS)), dtype=np.float32),
             STATE: rng.random((frames, 10), dtype=np.float32),
             ACTION: rng.random((frames, 10), dtype=np.float32),

@@ -20,7 +20,7 @@ OWNERS = {
     "mani_skill": {"datagen"},
     "torch": {"datagen", "labeling", "datasets", "training", "eval", FACE},
     "lerobot": {"datasets", "training", "eval"},
-    "viser": {"labeling"},
+    "viser": {"labeling", "datasets"},
 }
 """Heavy libraries and who may import them, at the top of a module or inside a function."""
 

@@ -124,7 +124,7 @@ def dataset_motion(root: Path, *, moments: int = 60, most: int = 64) -> Motion |
         for k in [*columns, *([POINTS] if clouds else [])]
     }  # fmt: skip
     return Motion(
-        stacked[STATE], stacked[ACTION], _names(info, STATE), _names(info, ACTION),
+        stacked[STATE], stacked[ACTION], column_names(info, STATE), column_names(info, ACTION),
         stacked.get(POINTS),
     )  # fmt: skip
 
@@ -189,7 +189,10 @@ def _length(info: Mapping[str, Any], key: str) -> int:
     return int(np.prod(info["features"][key]["shape"]))
 
 
-def _names(info: Mapping[str, Any], key: str) -> tuple[str, ...]:
+def column_names(info: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    """What a column calls its numbers: their positions when nobody says, none without a column."""
+    if key not in info["features"]:
+        return ()
     names, length = info["features"][key].get("names"), _length(info, key)
     if isinstance(names, Mapping):  # some writers group them: {"motors": [...]}
         names = [n for group in names.values() for n in group]

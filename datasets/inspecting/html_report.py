@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -72,11 +73,7 @@ def _plots(survey: Survey) -> list[tuple[str, str, str]]:
         counts = survey.count(attribute)  # type: ignore[arg-type]
         if set(counts) != {NOT_RECORDED}:
             found.append((title, "Episodes.", plots.bar_plot(counts, title)))
-    labels = {
-        f"{name}, {source}": n
-        for name, sources in survey.labels.items()
-        for source, n in sources.items()
-    }
+    labels = Counter(f"{label.role}: {label.source}" for e in survey.episodes for label in e.labels)
     if labels:
         note = f"Who set them; {survey.unlabeled} episodes have none."
         css = dict.fromkeys(labels, "attention")

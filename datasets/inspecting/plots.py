@@ -60,7 +60,9 @@ def band_plot(values: np.ndarray, title: str, css: str = "good") -> str:
     top, bottom, left, right = 8, 96, 48, 8
     room, moments = svg.WIDTH - left - right, values.shape[1]
     low, high = float(values.min()), float(values.max())
-    span = (high - low) or 1.0
+    if low == high:  # a constant is a line in the middle
+        low, high = low - 1, high + 1
+    span = high - low
     x = left + room * np.arange(moments) / max(1, moments - 1)
 
     def curve(row: np.ndarray) -> list[tuple[float, float]]:
