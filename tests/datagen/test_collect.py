@@ -3,6 +3,7 @@
 The first half replaces simulator and processes by stand-ins; the second half (`sim`) is real.
 """
 
+import dataclasses
 import json
 import os
 import shutil
@@ -19,7 +20,13 @@ from codediffuser.datagen.collect import CollectOptions
 from codediffuser.datagen.demo_results import DemoFailure, DemoResult, failure_path, summarize
 from codediffuser.datagen.episode import Episode, load_manifest
 from codediffuser.datagen.episode_check import check_episode
-from codediffuser.datagen.pictures import PictureOptions, depth_to_mm
+from codediffuser.datagen.pictures import (
+    NamedRanges,
+    PictureOptions,
+    depth_to_mm,
+    stored_appearance,
+)
+from codediffuser.datagen.randomization import load_randomization
 from codediffuser.datagen.record import DemoJob, record_demo, rerender_episode
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
@@ -307,6 +314,59 @@ def test_pictures_are_made_again_in_another_size_and_all_else_stays(own_copy, mo
         assert getattr(after.manifest, key) == getattr(before.manifest, key)
     (again,) = collect.rerender(own_copy, CollectOptions(pictures=larger))
     assert again.earlier
+
+
+@pytest.mark.sim
+def test_looks_can_be_changed_and_changed_back_to_the_same_bytes(own_copy):
+    folder = own_copy / "episodes" / IDS[0]
+    strong = NamedRanges(name="strong", ranges=load_randomization("strong"))
+
+    def draw(looks):
+        options = ONE_CAMERA.model_copy(update={"looks": looks})
+        rerender_episode(DemoJob(own_copy, IDS[0], options))
+        assert check_episode(folder) == []
+        return Episode.open(folder, verify=True)
+
+    usual = Episode.open(folder)
+    stood = usual.cameras["left_bottom"].T_world_camera[:3, 3]
+    changed = draw(strong)
+    appearance = stored_appearance(changed)
+    assert appearance is not None and appearance.ranges == "strong"
+    offset = appearance.looks.cameras["left_bottom"].position_m
+    moved = changed.cameras["left_bottom"].T_world_camera[:3, 3]
+    np.testing.assert_allclose(moved - stood, offset, atol=1e-9)
+    kept = draw("stored")
+    assert kept.manifest.files == changed.manifest.files
+    back = draw("usual")
+    assert stored_appearance(back) is None
+    assert back.manifest.content_hash == usual.manifest.content_hash
+
+
+@pytest.mark.sim
+def test_physics_first_and_pictures_later_give_what_one_go_gives(collected, tmp_path):
+    write_scenes(tmp_path, count=1)
+    job = DemoJob(tmp_path, IDS[0], ONE_CAMERA)
+    first = record_demo(dataclasses.replace(job, physics_only=True))
+    assert (first.success, first.bytes) == (True, 0)
+    assert not job.folder.exists()
+    second = record_demo(job)
+    assert second.physics_s == 0 and second.bytes > 0
+    assert not (tmp_path / "physics" / IDS[0]).exists()
+    expected = load_manifest(collected / "episodes" / IDS[0])
+    assert load_manifest(job.folder).content_hash == expected.content_hash
+
+
+@pytest.mark.sim
+def test_stored_states_of_another_scene_are_simulated_again(tmp_path):
+    write_scenes(tmp_path, count=1)
+    job = DemoJob(tmp_path, IDS[0], ONE_CAMERA, physics_only=True)
+    record_demo(job)
+    assert record_demo(job).physics_s == 0
+    scene = SceneSpec.load(job.scene_file)
+    scene.model_copy(update={"split": "val"}).save(job.scene_file)
+    assert record_demo(job).physics_s > 0
+    (tmp_path / "physics" / IDS[0] / "states.npz").write_bytes(b"damaged")
+    assert record_demo(job).physics_s > 0
 
 
 def _kill_when(run, workers, is_now):

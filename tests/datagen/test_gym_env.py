@@ -12,7 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from codediffuser.datagen.scene import SceneSpec
-from codediffuser.datagen.task import TASKS
+from codediffuser.datagen.task import TASKS, get_task
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.errors import ConfigError, ShapeError
 
@@ -36,9 +36,15 @@ def small(pack_battery: PackBattery) -> dict[str, Any]:
 
 
 @pytest.mark.sim
-@pytest.mark.parametrize("obs", ["state", "points", "images"])
-def test_gymnasium_checker_finds_nothing_wrong(obs: str, small: dict[str, Any]) -> None:
-    env = gym.make(ID, obs=obs, render_mode="rgb_array", **small).unwrapped
+@pytest.mark.parametrize(
+    ("task", "obs"),
+    [(task, "state") for task in TASKS.names()]
+    + [("pack_battery", "points"), ("pack_battery", "images")],
+)
+def test_gymnasium_checker_finds_nothing_wrong(task: str, obs: str) -> None:
+    cameras = get_task(task).config.cameras.model_copy(update={"width": 64, "height": 48})
+    small: dict[str, Any] = {"cameras": cameras, "num_points": 128, "max_steps": 3}
+    env = gym.make(gym_env.gym_id(task), obs=obs, render_mode="rgb_array", **small).unwrapped
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=".*WARN.*")
         # Metres and unbounded positions are meant: it would like [-1, 1].
