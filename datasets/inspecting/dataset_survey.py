@@ -159,9 +159,11 @@ def _labels(text: str) -> tuple[LabelFacts, ...]:
 
 def _scene_beside(root: Path, source: str, episode_id: str) -> dict[str, Any]:
     """Facts of the scene file of the run that holds the dataset, if it is the one of its origin."""
-    run = root.resolve().parent
-    path = run / EPISODES / episode_id / SCENE
-    if not episode_id or run.name != source or not path.is_file():
+    runs = [folder for folder in root.resolve().parents[:2] if folder.name == source]
+    if not episode_id or not runs:
+        return {}
+    path = runs[0] / EPISODES / episode_id / SCENE
+    if not path.is_file():
         return {}
     try:
         return scene_facts(SceneSpec.load(path))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from codediffuser.datasets.convert import convert_run
+from codediffuser.datasets.exporting.video import VideoConfig
 from codediffuser.datasets.inspecting.app import InspectApp
+from codediffuser.datasets.inspecting.dataset_survey import survey_dataset
 from codediffuser.datasets.inspecting.dataset_view import dataset_shelf
 from codediffuser.datasets.inspecting.episode_view import hand_path, paint
 from codediffuser.datasets.inspecting.recorded_view import run_shelf
@@ -30,6 +34,26 @@ def test_a_run_and_its_export_show_the_same_episode(exported_run: Path) -> None:
         shot = view.shot(3)
         assert len(shot.points_world) == len(shot.rgb) > 0
         assert min(attended(shot.rgb)) > 0
+
+
+@pytest.mark.slow
+def test_a_portable_export_shows_the_cloud_of_its_depth_pictures(
+    labelled_run: Callable[..., Path],
+) -> None:
+    run = labelled_run(1)
+    for _ in convert_run(run, profile="portable", video=VideoConfig(codec="h264")):
+        pass
+    root = run / "exports" / "lerobot-portable"
+    exported, recorded = dataset_shelf(root).open("000001"), run_shelf(run).open("000001")
+    mine, theirs = recorded.shot(2), exported.shot(2)
+    assert mine.pictures.keys() == theirs.pictures.keys()
+    for name, picture in mine.pictures.items():
+        assert np.abs(picture.astype(int) - theirs.pictures[name]).mean() < 4
+    assert recorded.cameras.keys() == exported.cameras.keys()
+    distance, _ = cKDTree(theirs.points_world).query(mine.points_world)
+    assert distance.max() < 1e-4
+    assert min(attended(theirs.rgb)) > 0
+    assert survey_dataset(root).count("kind") == {"no_slackness": 1}
 
 
 def test_attention_moves_with_the_object(exported_run: Path) -> None:
