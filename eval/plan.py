@@ -190,7 +190,8 @@ def _learnt(checkpoint: Path, dataset: Path) -> tuple[str, CloudConfig]:
     from codediffuser.training.policy_document import load_policy_document
 
     if not (checkpoint / POLICY_FILE).is_file():
-        return load_dataset_document(dataset).task, cloud_config(dataset)
+        document = load_dataset_document(dataset)
+        return document.task, document.cloud or cloud_config(dataset)
     policy = load_policy_document(checkpoint)
     return policy.task or load_dataset_document(dataset).task, policy.cloud
 

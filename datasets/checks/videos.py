@@ -18,6 +18,8 @@ THUMB = 4
 """Every how many pixels are looked at: a black or frozen picture is so everywhere."""
 SAME = 8
 """Grey values by which encoders let pictures of the same thing differ."""
+DEAD_SHARE = 0.5
+"""A camera that looks past the robot may well show nothing new for less of an episode."""
 MOVED = 0.3
 """A robot that crosses this share of an episode's range of states would be seen."""
 
@@ -79,7 +81,7 @@ def _check_pictures(where: str, seen: np.ndarray, fps: int, state: np.ndarray) -
         [np.abs(b.astype(int) - a).max() <= SAME for a, b in itertools.pairwise(seen)]
     )
     stretch = np.ptp(state[first : first + count], axis=0) / np.maximum(np.ptp(state, axis=0), 1e-6)
-    if count > FROZEN_S * fps and stretch.max() > MOVED:
+    if count > max(FROZEN_S * fps, DEAD_SHARE * len(seen)) and stretch.max() > MOVED:
         what = f"the same picture {count} times in a row from frame {first} on, while it moved"
         yield Finding("video.frozen", where, what, remedy)
 

@@ -67,7 +67,7 @@ def test_a_full_disk_is_one_error_and_leaves_whole_files_only(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_ctrl_c_says_how_to_go_on_and_leaves_nothing_half_written(tmp_path: Path) -> None:
-    write_scenes(tmp_path, 3)
+    write_scenes(tmp_path, 20)  # enough that it cannot be done before the signal comes
     process = subprocess.Popen(
         [*DEMO, str(tmp_path), "--physics-only"],
         stderr=subprocess.PIPE, text=True, start_new_session=True,
