@@ -71,6 +71,8 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_nothing_half_written(tmp_path: Path
     process = subprocess.Popen(
         [*DEMO, str(tmp_path), "--physics-only"],
         stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # Whoever started the tests in the background lets every child ignore Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     deadline = time.monotonic() + 300
     while not list(tmp_path.glob("physics/0*")):
