@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,15 +29,15 @@ console = Console(stderr=True, highlight=False)
 
 
 @dataclass(kw_only=True)
-class Verb:
+class Verb(ABC):
     """Options of every verb."""
 
     debug: bool = field(default=False)
     """Show the whole trace of an error, and debug messages."""
 
+    @abstractmethod
     def run(self) -> Path | str | None:
         """Do the work; what is returned is printed last."""
-        raise NotImplementedError
 
 
 def stage_bars() -> Progress:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import torch
 from torch import Tensor, nn
 
 from codediffuser.registry import Registry
 
 
-class PointEncoder(nn.Module):
+class PointEncoder(nn.Module, ABC):
     """Base of all encoders.
 
     Args:
@@ -20,6 +22,7 @@ class PointEncoder(nn.Module):
         super().__init__()
         self.num_channels, self.dim = num_channels, dim
 
+    @abstractmethod
     def forward(self, xyz: Tensor, attention: Tensor, attended: Tensor) -> Tensor:
         """Encode M clouds.
 
@@ -31,7 +34,6 @@ class PointEncoder(nn.Module):
         Returns:
             (M, D).
         """
-        raise NotImplementedError
 
 
 POINT_ENCODERS: Registry[type[PointEncoder]] = Registry("point encoder")
