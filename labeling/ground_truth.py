@@ -114,18 +114,37 @@ def object_points(
     points_world: np.ndarray,
     margin_m: float,
 ) -> np.ndarray:
-    """Points that belong to the target and to no other object more than to it."""
+    """Points (M, 3) that belong to the target and to no other object more than to it."""
+    mine = object_members(task, scene, target, T_world_start, points_world, margin_m)
+    return np.asarray(points_world[mine])
+
+
+def object_members(
+    task: Task,
+    scene: SceneSpec,
+    target: ObjectSpec,
+    T_world_now: Mapping[str, np.ndarray],
+    points_world: np.ndarray,
+    margin_m: float,
+) -> np.ndarray:
+    """Which points (N, 3) belong to the target and to no other object more than to it, (N,) bool.
+
+    `T_world_now` are the poses at the moment of the points; one that is missing is the scene's.
+    """
+    members = np.zeros(len(points_world), dtype=bool)
     parts = task.geometry(target).collision
     if not parts:
-        return points_world[:0]
-    low, high = _bounds_world(parts, _pose(target, T_world_start))
-    near = points_world[inside_box(points_world, low - margin_m, high + margin_m)]
-    own = _distance(task, target, T_world_start, near)
+        return members
+    low, high = _bounds_world(parts, _pose(target, T_world_now))
+    near_index = np.flatnonzero(inside_box(points_world, low - margin_m, high + margin_m))
+    near = points_world[near_index]
+    own = _distance(task, target, T_world_now, near)
     keep = own <= margin_m
     for other in scene.objects:
         if other.id != target.id and keep.any():
-            keep &= own <= _distance(task, other, T_world_start, near)
-    return np.asarray(near[keep])
+            keep &= own <= _distance(task, other, T_world_now, near)
+    members[near_index[keep]] = True
+    return members
 
 
 def place_points(
@@ -136,14 +155,28 @@ def place_points(
     points_world: np.ndarray,
     margin_m: float,
 ) -> np.ndarray:
-    """Points in the region of the place that belong to nothing that can move."""
+    """Points (M, 3) in the region of the place that belong to nothing that can move."""
+    mine = place_members(task, scene, place, T_world_start, points_world, margin_m)
+    return np.asarray(points_world[mine])
+
+
+def place_members(
+    task: Task,
+    scene: SceneSpec,
+    place: PlaceSpec,
+    T_world_now: Mapping[str, np.ndarray],
+    points_world: np.ndarray,
+    margin_m: float,
+) -> np.ndarray:
+    """Which points (N, 3) lie in the place and belong to nothing that can move, (N,) bool."""
     center, half = np.array(place.center_m), np.array(place.size_m) / 2
-    inside = points_world[inside_box(points_world, center - half, center + half)]
-    keep = np.ones(len(inside), dtype=bool)
+    members = inside_box(points_world, center - half, center + half)
+    inside_index = np.flatnonzero(members)
     for obj in scene.objects:
         if not obj.fixed:
-            keep &= _distance(task, obj, T_world_start, inside) > margin_m
-    return np.asarray(inside[keep])
+            distance = _distance(task, obj, T_world_now, points_world[inside_index])
+            members[inside_index] &= distance > margin_m
+    return members
 
 
 def _distance(
