@@ -18,7 +18,6 @@ from rosbags.serde import SerdeError
 from codediffuser.datagen import episode_format as fmt
 from codediffuser.datagen import ros_messages as ros
 from codediffuser.datagen.episode_format import Camera, EpisodeManifest, MotionRecord
-from codediffuser.datagen.episode_writer import step_time_ns
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.errors import ConfigError, EpisodeError, SchemaVersionError
@@ -304,8 +303,8 @@ class Episode:
         with self.log_path.open("rb") as stream:
             messages = make_reader(stream, validate_crcs=True).iter_messages(
                 topics=topics,
-                starting_at=step_time_ns(start, self.hz),
-                ending_before=step_time_ns(max(start, stop), self.hz),
+                starting_at=fmt.step_time_ns(start, self.hz),
+                ending_before=fmt.step_time_ns(max(start, stop), self.hz),
             )
             for _, channel, message in messages:
                 yield channel.topic, message.data

@@ -15,7 +15,6 @@ from mcap.reader import make_reader
 
 from codediffuser.datagen import episode_format as fmt
 from codediffuser.datagen.episode import READ_ERRORS, Episode, load_manifest
-from codediffuser.datagen.episode_writer import step_time_ns
 from codediffuser.datagen.trajectory import ACTION_NAMES
 from codediffuser.datagen.views import moment_at
 from codediffuser.errors import CodeDiffuserError
@@ -106,7 +105,7 @@ def _check_messages(episode: Episode) -> Iterator[Finding]:
         per_step.append(fmt.color_topic(camera.name))
         if camera.depth:
             per_step.append(fmt.depth_topic(camera.name))
-    expected_times = [step_time_ns(k, manifest.hz) for k in range(manifest.frames)]
+    expected_times = [fmt.step_time_ns(k, manifest.hz) for k in range(manifest.frames)]
     for topic in per_step:
         if times[topic] != expected_times:
             what = (

@@ -69,6 +69,11 @@ def optical_frame(camera: str) -> str:
     return f"{camera}_optical"
 
 
+def step_time_ns(step: int, hz: int) -> int:
+    """Simulated time of a step in nanoseconds, rounded to the nearest."""
+    return (step * 1_000_000_000 + hz // 2) // hz
+
+
 @dataclass(frozen=True, slots=True)
 class Camera:
     """A calibrated pinhole camera without distortion."""

@@ -15,12 +15,8 @@ from codediffuser.datagen import episode_format as fmt
 from codediffuser.datagen.appearance import APPEARANCE, Appearance, Looks, SensorErrors
 from codediffuser.datagen.episode import Episode
 from codediffuser.datagen.episode_format import Camera, EpisodeManifest, ImageOptions
-from codediffuser.datagen.episode_writer import (
-    EpisodeFacts,
-    Pictures,
-    trajectory_steps,
-    write_episode,
-)
+from codediffuser.datagen.episode_writer import EpisodeFacts, write_episode
+from codediffuser.datagen.log_step import Pictures, trajectory_steps
 from codediffuser.datagen.randomization import Randomization, draw_appearance
 from codediffuser.datagen.recovery import RECOVERY, Recovery
 from codediffuser.datagen.scene import SceneSpec, SeedKey

@@ -107,12 +107,8 @@ def write_synthetic_episode(
         run: Path, episode_id: str = "000042", num_steps: int = 4, **options: Any
     ) -> tuple[Path, Trajectory, list[Any]]:
         from codediffuser.datagen.episode_format import Camera, ConditionRecord
-        from codediffuser.datagen.episode_writer import (
-            EpisodeFacts,
-            Pictures,
-            trajectory_steps,
-            write_episode,
-        )
+        from codediffuser.datagen.episode_writer import EpisodeFacts, write_episode
+        from codediffuser.datagen.log_step import Pictures, trajectory_steps
         from codediffuser.poses import pose_to_transform
 
         rng = np.random.default_rng(int(episode_id))
@@ -174,7 +170,7 @@ def battery_pictures() -> Callable[..., tuple[dict[str, Any], list[Any]]]:
 
     from codediffuser.datagen.cameras import camera_parameters, project
     from codediffuser.datagen.episode_format import Camera
-    from codediffuser.datagen.episode_writer import Pictures
+    from codediffuser.datagen.log_step import Pictures
     from codediffuser.datagen.task import get_task
     from codediffuser.poses import apply_transform
 
@@ -267,11 +263,8 @@ def write_battery_episode(
         success: bool = True,
         text: str = "Put the battery in the right slot.",
     ) -> Path:
-        from codediffuser.datagen.episode_writer import (
-            EpisodeFacts,
-            trajectory_steps,
-            write_episode,
-        )
+        from codediffuser.datagen.episode_writer import EpisodeFacts, write_episode
+        from codediffuser.datagen.log_step import trajectory_steps
 
         seed = small_scene.seed.model_copy(update={"index": int(episode_id)})
         words = small_scene.instruction.model_copy(update={"text": text})

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from codediffuser.datagen.episode_format import Camera, CameraRecord, MotionRecord
-from codediffuser.datagen.episode_writer import LogStep, Pictures, StoredPicture
+from codediffuser.datagen.log_step import LogStep, Pictures, StoredPicture
 from codediffuser.datasets.importing.array_file import ArrayFile
 from codediffuser.datasets.importing.config import (
     CameraSource,

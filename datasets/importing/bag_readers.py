@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from codediffuser.datagen.episode_format import ImageOptions
-from codediffuser.datagen.episode_writer import StoredPicture
+from codediffuser.datagen.log_step import StoredPicture
 from codediffuser.datasets.importing.config import NumberSource
 from codediffuser.datasets.importing.decoding import Decoder
 from codediffuser.datasets.importing.pictures import color_of, is_raw, picture_bytes

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 
 from codediffuser.datagen.episode_format import ImageOptions
-from codediffuser.datagen.episode_writer import StoredPicture
+from codediffuser.datagen.log_step import StoredPicture
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB`\x82"

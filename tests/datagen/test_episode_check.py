@@ -87,11 +87,11 @@ def test_another_clock_is_told(folder):
 
 
 def test_a_camera_that_sees_nothing_is_told(tmp_path, write_synthetic_episode, monkeypatch):
-    import codediffuser.datagen.episode_writer as writer
+    from codediffuser.datagen import ros_messages as ros
 
-    encode = writer.ros.encode_depth
+    encode = ros.encode_depth
     monkeypatch.setattr(
-        writer.ros,
+        ros,
         "encode_depth",
         lambda d, t, frame: encode(np.zeros_like(d) if frame == "left_optical" else d, t, frame),
     )

@@ -10,7 +10,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
 from codediffuser.datagen.episode_format import EpisodeManifest, ImageOptions
-from codediffuser.datagen.episode_writer import step_time_ns, trajectory_steps
+from codediffuser.datagen.log_step import Pictures, trajectory_steps
 from codediffuser.errors import EpisodeError, ShapeError
 from codediffuser.files import sha256_file
 
@@ -101,7 +101,7 @@ def test_nothing_stays_when_a_step_fails(tmp_path, write_synthetic_episode, monk
         if len(calls) == 3:
             raise RuntimeError("the simulator died")
 
-    monkeypatch.setattr("codediffuser.datagen.episode_writer.LogWriter.add_step", fail_on_third)
+    monkeypatch.setattr("codediffuser.datagen.log_writer.LogWriter.add_step", fail_on_third)
     with pytest.raises(RuntimeError, match="the simulator died"):
         write_synthetic_episode(tmp_path)
     assert list((tmp_path / "episodes").iterdir()) == []
@@ -121,7 +121,7 @@ def test_a_log_that_does_not_read_back_is_not_kept(tmp_path, write_synthetic_epi
         self.num_steps += 1
         self.counts["/ee_pose"] = self.num_steps
 
-    monkeypatch.setattr("codediffuser.datagen.episode_writer.LogWriter.add_step", forget)
+    monkeypatch.setattr("codediffuser.datagen.log_writer.LogWriter.add_step", forget)
     with pytest.raises(EpisodeError, match="read back"):
         write_synthetic_episode(tmp_path)
     assert list((tmp_path / "episodes").iterdir()) == []
@@ -152,18 +152,11 @@ def test_pictures_must_be_as_many_as_actions(make_trajectory, given):
 
 
 def test_a_missing_camera_is_named(tmp_path, write_synthetic_episode, monkeypatch):
-    import codediffuser.datagen.episode_writer as writer
-
     def without_right(trajectory, pictures):
         for step in trajectory_steps(trajectory, pictures):
             seen = {"left": step.pictures.rgb["left"]}
-            yield dataclasses.replace(step, pictures=writer.Pictures(seen, {}))
+            yield dataclasses.replace(step, pictures=Pictures(seen, {}))
 
-    monkeypatch.setattr(writer, "trajectory_steps", without_right)
+    monkeypatch.setattr("codediffuser.datagen.log_step.trajectory_steps", without_right)
     with pytest.raises(ShapeError, match="step 0: no depth_mm picture of camera 'left'"):
         write_synthetic_episode(tmp_path)
-
-
-def test_step_times_are_rounded_to_the_nearest_nanosecond():
-    assert step_time_ns(3, 25) == 120_000_000
-    assert [step_time_ns(k, 30) for k in range(3)] == [0, 33_333_333, 66_666_667]

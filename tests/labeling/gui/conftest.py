@@ -10,12 +10,8 @@ import numpy as np
 import pytest
 
 from codediffuser.datagen.episode import Episode
-from codediffuser.datagen.episode_writer import (
-    EpisodeFacts,
-    Pictures,
-    trajectory_steps,
-    write_episode,
-)
+from codediffuser.datagen.episode_writer import EpisodeFacts, write_episode
+from codediffuser.datagen.log_step import Pictures, trajectory_steps
 from codediffuser.labeling.gui.desk import Desk
 from codediffuser.labeling.gui.session import Session
 
