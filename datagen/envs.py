@@ -20,6 +20,7 @@ from mani_skill.utils.structs.types import DefaultMaterialsConfig, SceneConfig, 
 import codediffuser.datagen.tasks  # noqa: F401  fills TASKS
 from codediffuser.datagen import sim
 from codediffuser.datagen.cameras import T_world_camera, sapien_camera_pose
+from codediffuser.datagen.known_shapes import Shapes
 from codediffuser.datagen.robot import HAND_LINK, ROBOT_UID, base_pose
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.task import TASKS, Check, Task, get_task
@@ -71,7 +72,7 @@ class SceneEnv(BaseEnv):
                 "throughput start several processes"
             )
         self.task = get_task(task) if isinstance(task, str) else task
-        self._shapes = sim.Shapes(self.task)
+        self._shapes = Shapes(self.task)
         self._variant = variant
         self._wanted_scene = scene
         self._draws = 0

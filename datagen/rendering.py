@@ -17,6 +17,7 @@ from codediffuser.datagen import sim
 from codediffuser.datagen.appearance import Looks
 from codediffuser.datagen.assets import panda_urdf
 from codediffuser.datagen.cameras import camera_parameters, sapien_camera_pose
+from codediffuser.datagen.known_shapes import Shapes
 from codediffuser.datagen.robot import base_pose
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.task import CameraConfig, Task
@@ -71,7 +72,7 @@ class Renderer:
         self._components = self._add_cameras()
         self._decor: list[Any] = []
         self._looks = Looks()
-        self._shapes = sim.Shapes(task)
+        self._shapes = Shapes(task)
         self._objects: list[Any] = []
         self._movable: list[Any] = []
         self._object_index = np.zeros(0, dtype=np.int16)

@@ -17,7 +17,7 @@ from trimesh.graph import smooth_shade
 from codediffuser.datagen.appearance import DirectionalLight, Lights, Prop
 from codediffuser.datagen.props import prop_mesh
 from codediffuser.datagen.scene import ObjectSpec, SceneSpec, Vector3
-from codediffuser.datagen.task import Decal, Geometry, Pad, Task
+from codediffuser.datagen.task import Decal, Geometry, Pad
 from codediffuser.datagen.views import Moment, MomentView
 
 SIM_HZ = 250
@@ -43,27 +43,6 @@ USUAL_LIGHTS = Lights(
     ),
 )
 """Even light, unless an episode's appearance says otherwise."""
-
-
-class Shapes:
-    """A task's geometries, each computed once: a scene holds a dozen bodies of two shapes.
-
-    Args:
-        task: Whose objects they are.
-    """
-
-    def __init__(self, task: Task) -> None:
-        self._task = task
-        self._known: dict[object, Geometry] = {}
-
-    def of(self, obj: ObjectSpec) -> Geometry:
-        """The geometry of an object, by what `Task.geometry` may look at."""
-        sizes = tuple(sorted(obj.shape.items()))
-        written = (obj.label, obj.color_rgb) if obj.label is not None else None
-        key = (obj.category, sizes, obj.fixed, obj.place is None, written)
-        if key not in self._known:
-            self._known[key] = self._task.geometry(obj)
-        return self._known[key]
 
 
 def make_object(obj: ObjectSpec, geometry: Geometry, *, bodies: bool, visuals: bool) -> Any:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import trimesh
 
 from codediffuser import __version__
+from codediffuser.datagen.known_shapes import Shapes
 from codediffuser.datagen.scene import ObjectSpec, PlaceSpec, SceneSpec
 from codediffuser.datagen.task import Task
 from codediffuser.errors import LabelError
@@ -24,6 +26,9 @@ from codediffuser.poses import apply_transform, invert_transform
 PROVENANCE = Provenance(
     source="simulator", labeler="labeling.ground_truth", tool_version=__version__
 )
+
+
+_SHAPES: WeakKeyDictionary[Task, Shapes] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +137,7 @@ def object_members(
     `T_world_now` are the poses at the moment of the points; one that is missing is the scene's.
     """
     members = np.zeros(len(points_world), dtype=bool)
-    parts = task.geometry(target).collision
+    parts = _shapes(task).of(target).collision
     if not parts:
         return members
     low, high = _bounds_world(parts, _pose(target, T_world_now))
@@ -179,13 +184,18 @@ def place_members(
     return members
 
 
+def _shapes(task: Task) -> Shapes:
+    """The task's bodies, kept as long as the task itself."""
+    return _SHAPES.setdefault(task, Shapes(task))
+
+
 def _distance(
     task: Task, obj: ObjectSpec, T_world_start: Mapping[str, np.ndarray], points_world: np.ndarray
 ) -> np.ndarray:
     T_object_world = invert_transform(_pose(obj, T_world_start))
     return signed_distance_m(
         apply_transform(T_object_world, points_world.astype(np.float64)),
-        task.geometry(obj).collision,
+        _shapes(task).of(obj).collision,
     )
 
 

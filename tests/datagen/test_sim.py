@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from codediffuser.datagen import sim
+from codediffuser.datagen.known_shapes import Shapes
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.datagen.views import (
@@ -66,7 +66,7 @@ def test_view_lists_the_movable_objects_in_scene_order(env: SceneEnv) -> None:
 def test_shapes_are_computed_once_per_kind(
     pack_battery: PackBattery, scenes: list[SceneSpec]
 ) -> None:
-    shapes = sim.Shapes(pack_battery)
+    shapes = Shapes(pack_battery)
     scene = next(s for s in scenes if len(s.pickable) > 1)
     first, second = scene.pickable[:2]
     assert shapes.of(first) is shapes.of(second)
