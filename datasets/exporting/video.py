@@ -45,8 +45,11 @@ class VideoConfig(Strict):
         # at 0 without an edit list.
         options |= {"bf": "0", "threads": "1"}
         if self.codec == "hevc":
-            options |= {"x265-params": "log-level=error:pools=1:bframes=0"}
-        return options
+            return {**options, "x265-params": "log-level=error:pools=1:bframes=0"}
+        # Otherwise x264 spreads quality over pictures by routines of the processor at hand: SSE and
+        # AVX round differently, and the one for AVX-512 reads memory that nothing was written to,
+        # so that the bytes changed from call to call.
+        return {**options, "x264-params": "cpu-independent=1"}
 
     def info(self, width: int, height: int, fps: int) -> dict[str, Any]:
         """The `info` block of a video feature in LeRobot's `info.json`."""

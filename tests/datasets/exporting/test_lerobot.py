@@ -45,8 +45,7 @@ def episodes(run: Path) -> list[Episode]:
 
 
 def data_files(root: Path) -> dict[str, bytes]:
-    # H.264 was seen to differ in bytes between two encodings of one episode; not understood yet.
-    parts = [path for part in ("data", "meta") for path in (root / part).rglob("*")]
+    parts = [path for part in ("data", "meta", "videos") for path in (root / part).rglob("*")]
     return {
         path.relative_to(root).as_posix(): path.read_bytes()
         for path in parts
