@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from codediffuser.datagen.cameras import T_world_camera
 from codediffuser.datagen.scene import QuatWxyz, SeedKey, Vector3
-from codediffuser.datagen.task import CameraConfig, CameraView
+from codediffuser.datagen.task_config import CameraConfig, CameraView
 from codediffuser.schema import Document, Strict
 
 APPEARANCE = "appearance.json"

@@ -13,7 +13,8 @@ from codediffuser.datagen.scene import ObjectSpec, SceneSpec, Vector3
 from codediffuser.datagen.spine import ink_rgb
 
 if TYPE_CHECKING:
-    from codediffuser.datagen.task import Observer, Pad
+    from codediffuser.datagen.task import Pad
+    from codediffuser.datagen.task_config import Observer
 
 BACK: drawing.Color = "#efece7"
 OUTLINE_PT = 3.0

@@ -14,7 +14,8 @@ import numpy as np
 from pydantic import Field
 
 from codediffuser.datagen.bookshelf import BooksConfig
-from codediffuser.errors import ConfigError, PlacementError
+from codediffuser.datagen.layout import drawn_count
+from codediffuser.errors import PlacementError
 from codediffuser.poses import make_transform
 from codediffuser.schema import Strict
 
@@ -128,10 +129,7 @@ def draw_row(
         ConfigError: `slots` is out of range.
         PlacementError: No row was found within the ranges.
     """
-    low, high = row.slots
-    if slots is not None and not low <= slots <= high:
-        raise ConfigError(f"places: free slots: expected {low} to {high}, got {slots}")
-    wanted = slots if slots is not None else int(rng.integers(low, high + 1))
+    wanted = drawn_count("places: free slots", slots, row.slots, rng)
     maker = _RowMaker(rng, row, books, floor_m, y_m, new_thickness_m)
     for _ in range(row.max_redraws):
         found = maker.try_row(PATTERNS[wanted])

@@ -14,7 +14,7 @@ from codediffuser.poses import look_rotation, make_transform, matrix_to_quat_wxy
 if TYPE_CHECKING:
     import sapien
 
-    from codediffuser.datagen.task import CameraConfig, CameraView
+    from codediffuser.datagen.task_config import CameraConfig, CameraView
 
 R_SAPIEN_OPENCV = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Takes OpenCV camera coordinates to SAPIEN camera coordinates."""

@@ -16,7 +16,8 @@ import numpy as np
 from codediffuser.datagen.scene import SceneSpec
 
 if TYPE_CHECKING:
-    from codediffuser.datagen.task import Observer, Pad
+    from codediffuser.datagen.task import Pad
+    from codediffuser.datagen.task_config import Observer
 
 Point = tuple[float, float]
 """Across and up in a panel, metres; world x and y where the panel looks from above."""

@@ -18,7 +18,8 @@ from codediffuser.datagen.envs import SceneEnv, env_id, physics_env
 from codediffuser.datagen.rendering import Frame, Renderer
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
-from codediffuser.datagen.task import TASKS, CameraConfig, Task, get_task
+from codediffuser.datagen.task import TASKS, Task, get_task
+from codediffuser.datagen.task_config import CameraConfig
 from codediffuser.datagen.trajectory import CONTROL_HZ
 from codediffuser.datagen.views import state_row
 from codediffuser.errors import ConfigError, ShapeError

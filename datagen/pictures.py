@@ -21,7 +21,8 @@ from codediffuser.datagen.randomization import Randomization, draw_appearance
 from codediffuser.datagen.recovery import RECOVERY, Recovery
 from codediffuser.datagen.scene import SceneSpec, SeedKey
 from codediffuser.datagen.sensor_errors import sensor_rng, spoil_color, spoil_depth
-from codediffuser.datagen.task import CameraConfig, get_task
+from codediffuser.datagen.task import get_task
+from codediffuser.datagen.task_config import CameraConfig
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.datagen.views import moment_at
 from codediffuser.schema import Strict

@@ -20,7 +20,8 @@ from codediffuser.datagen.cameras import camera_parameters, sapien_camera_pose
 from codediffuser.datagen.known_shapes import Shapes
 from codediffuser.datagen.robot import base_pose
 from codediffuser.datagen.scene import SceneSpec
-from codediffuser.datagen.task import CameraConfig, Task
+from codediffuser.datagen.task import Task
+from codediffuser.datagen.task_config import CameraConfig
 from codediffuser.datagen.views import Moment
 from codediffuser.errors import RenderError, SetupError
 from codediffuser.pointcloud import backproject_depth, inside_box

@@ -11,7 +11,7 @@ from mani_skill.agents.registration import register_agent
 
 from codediffuser.datagen.assets import panda_urdf
 from codediffuser.datagen.controllers import Drive, HandPoseControllerConfig
-from codediffuser.datagen.task import RobotConfig
+from codediffuser.datagen.task_config import RobotConfig
 from codediffuser.poses import matrix_to_quat_wxyz, rotation_z
 
 ROBOT_UID = "panda_codediffuser"

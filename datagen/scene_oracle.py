@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
-from codediffuser.datagen.task import Observer
+from codediffuser.datagen.task_config import Observer
 
 CLEAR = float("inf")
 """The lead of words that tell things apart by more than a distance: colour, title, row."""

@@ -15,6 +15,7 @@ from codediffuser.datagen.instructions.generator import make_instruction
 from codediffuser.datagen.instructions.phrasebook import Phrasebook, Sentence
 from codediffuser.datagen.instructions.reading import Reading
 from codediffuser.datagen.instructions.templates import TemplateLibrary, load_templates
+from codediffuser.datagen.layout import Layout
 from codediffuser.datagen.sampling_settings import Factor, SamplingSettings
 from codediffuser.datagen.scene import (
     Ambiguity,
@@ -27,7 +28,7 @@ from codediffuser.datagen.scene import (
     TemplateSplit,
 )
 from codediffuser.datagen.strata import Stratum, make_strata, stratum_of
-from codediffuser.datagen.task import Layout, Task
+from codediffuser.datagen.task import Task
 from codediffuser.errors import InstructionError, PlacementError
 from codediffuser.seeding import Stage, rng_for
 

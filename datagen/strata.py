@@ -11,8 +11,9 @@ from typing import TypeVar
 import numpy as np
 
 from codediffuser.datagen.instructions.phrasebook import Phrasebook
+from codediffuser.datagen.layout import Layout
 from codediffuser.datagen.sampling_settings import SamplingSettings
-from codediffuser.datagen.task import Layout, Task
+from codediffuser.datagen.task import Task
 from codediffuser.errors import ConfigError, PlacementError
 from codediffuser.seeding import Stage, rng_for
 

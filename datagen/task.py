@@ -7,27 +7,20 @@ the simulator: it describes bodies (`Geometry`), motions (`Move`) and conditions
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
-from pydantic import model_validator
 
-from codediffuser.datagen.configuration_split import SplitConfig
-from codediffuser.datagen.scene import (
-    ObjectSpec,
-    Pair,
-    PlaceSpec,
-    SceneSpec,
-    Vector3,
-    pickable_objects,
-    untaken_places,
-)
-from codediffuser.registry import Registry
-from codediffuser.schema import Document, Strict
+from codediffuser.datagen.layout import Layout, LayoutRequest, V
+from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
+from codediffuser.datagen.task_config import TaskConfig
+from codediffuser.errors import ConfigError
+from codediffuser.registry import Registry, unknown_name
 
 if TYPE_CHECKING:
     import trimesh
@@ -35,95 +28,6 @@ if TYPE_CHECKING:
     from codediffuser.datagen.drawing import Drawing
     from codediffuser.datagen.instructions.components import Component
     from codediffuser.datagen.trajectory import Trajectory
-
-
-class CameraView(Strict):
-    """Where one camera stands and looks."""
-
-    name: str
-    position_m: Vector3
-    look: Vector3
-    """Direction of the optical axis, any length."""
-    right: Vector3
-    """Roughly the image's right; made orthogonal to `look`."""
-
-
-class CameraConfig(Strict):
-    """The cameras of a task. Pixels are square."""
-
-    width: int = 320
-    height: int = 240
-    fov_y_rad: float = 0.9
-    near_m: float = 0.05
-    far_m: float = 5.0
-    views: tuple[CameraView, ...]
-
-
-class RobotConfig(Strict):
-    """Where the arm stands and how it starts."""
-
-    base_position_m: Vector3
-    base_yaw_rad: float
-    initial_qpos: tuple[float, ...]
-    """Seven arm joints in rad, two fingers in m."""
-
-
-class Workspace(Strict):
-    """Box of the world that policies and labels look at."""
-
-    low_m: Vector3
-    high_m: Vector3
-
-
-class Observer(Strict):
-    """Whose left and right the words mean. The default stands at the robot and looks along +y."""
-
-    right: tuple[float, float] = (1.0, 0.0)
-    """Direction of "right" on the table, world x and y, unit length."""
-    front: tuple[float, float] = (0.0, -1.0)
-    """Direction of "front": toward the observer. The public release has (0, 1) here."""
-
-    @model_validator(mode="after")
-    def _unit_and_square(self) -> Self:
-        right, front = np.array(self.right), np.array(self.front)
-        lengths = [float(np.linalg.norm(v)) for v in (right, front)]
-        if abs(right @ front) > 1e-6 or max(abs(length - 1) for length in lengths) > 1e-6:
-            raise ValueError("`right` and `front` must have length 1 and a right angle between")
-        return self
-
-    @property
-    def left(self) -> tuple[float, float]:
-        """Opposite of `right`."""
-        return (-self.right[0], -self.right[1])
-
-    @property
-    def back(self) -> tuple[float, float]:
-        """Opposite of `front`."""
-        return (-self.front[0], -self.front[1])
-
-
-class LabelingConfig(Strict):
-    """How the labeling window shows the task."""
-
-    view: str = "top"
-    """What it opens with: `top` for the plan, or the name of the camera to choose targets in."""
-
-
-class TaskConfig(Document):
-    """What every task's YAML holds (`schema: codediffuser.task/1`)."""
-
-    KIND: ClassVar[str] = "task"
-    VERSION: ClassVar[int] = 1
-
-    task: str
-    max_steps: int
-    """Control steps after which a rollout ends."""
-    cameras: CameraConfig
-    robot: RobotConfig
-    workspace: Workspace
-    observer: Observer = Observer()
-    splits: SplitConfig = SplitConfig()
-    labeling: LabelingConfig = LabelingConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,24 +55,6 @@ class Pad:
             for low, high in zip(self.low_m, self.high_m, strict=True)
         )
         return [(float(x), float(y)) for y in ys for x in xs]
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Objects and places before targets and words are chosen."""
-
-    objects: tuple[ObjectSpec, ...]
-    places: tuple[PlaceSpec, ...]
-
-    @property
-    def pickable(self) -> tuple[ObjectSpec, ...]:
-        """Objects that move and take no place yet."""
-        return pickable_objects(self.objects)
-
-    @property
-    def free_places(self) -> tuple[PlaceSpec, ...]:
-        """Places that no object takes."""
-        return untaken_places(self.objects, self.places)
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,10 +151,10 @@ class SceneView(Protocol):
         """Mean opening of the two fingers now, 0 to 0.04 m each."""
 
 
-C = TypeVar("C", bound=TaskConfig)
+C = TypeVar("C", bound=TaskConfig[Any])
 
 
-class Task(ABC, Generic[C]):
+class Task(ABC, Generic[C, V]):
     """Base of all tasks.
 
     Args:
@@ -298,7 +184,17 @@ class Task(ABC, Generic[C]):
         """Read the task's YAML, or another file of the same schema."""
         return cls.config_type.load(path or cls.config_path())  # type: ignore[return-value]
 
-    @abstractmethod
+    def ranges(self, variant: str) -> V:
+        """What scenes of a variant are drawn from.
+
+        Raises:
+            ConfigError: `variant` is unknown.
+        """
+        known: dict[str, V] = self.config.variants
+        if variant not in known:
+            raise ConfigError(unknown_name("variant", variant, list(known)))
+        return known[variant]
+
     def sample_layout(
         self,
         rng: np.random.Generator,
@@ -319,10 +215,32 @@ class Task(ABC, Generic[C]):
             PlacementError: The ranges and clearances leave no room after bounded attempts.
             ConfigError: `variant` is unknown, or `picks` or `places` is out of its range.
         """
+        return self.arrange(rng, LayoutRequest(variant, self.ranges(variant), picks, places))
 
-    @abstractmethod
     def components(self) -> Mapping[str, Component]:
         """Descriptive phrases by their words: `left-most battery` -> check and extract."""
+        return self._components
+
+    @functools.cached_property
+    def _components(self) -> Mapping[str, Component]:
+        return {phrase.words: phrase for phrase in self.phrases()}
+
+    @abstractmethod
+    def arrange(self, rng: np.random.Generator, asked: LayoutRequest[V]) -> Layout:
+        """Draw objects and places as asked: the task's part of `sample_layout`.
+
+        Args:
+            rng: The only source of chance.
+            asked: Variant with its ranges, and how many picks and places.
+
+        Raises:
+            PlacementError: As for `sample_layout`.
+            ConfigError: The number of picks or places is out of its range.
+        """
+
+    @abstractmethod
+    def phrases(self) -> Iterable[Component]:
+        """Every descriptive phrase, in the order in which templates list them for a `*`."""
 
     @abstractmethod
     def geometry(self, obj: ObjectSpec) -> Geometry:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from codediffuser.datagen.scene import SceneSpec
-from codediffuser.datagen.task import CameraConfig, CameraView, Task
+from codediffuser.datagen.task import Task
+from codediffuser.datagen.task_config import CameraConfig, CameraView
 from codediffuser.datagen.trajectory import CONTROL_HZ, Trajectory
 from codediffuser.datagen.views import moment_at
 from codediffuser.eval.observe import object_poses

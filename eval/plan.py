@@ -9,7 +9,8 @@ from typing import ClassVar
 
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
-from codediffuser.datagen.task import CameraConfig, Task, get_task
+from codediffuser.datagen.task import Task, get_task
+from codediffuser.datagen.task_config import CameraConfig
 from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.datasets.export_meta import cloud_config, load_dataset_document
 from codediffuser.errors import CheckpointError, ConfigError

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from codediffuser.datagen.scene import Pair, SceneSpec, Target
-from codediffuser.datagen.task import CameraConfig, Check, Task
+from codediffuser.datagen.task import Check, Task
+from codediffuser.datagen.task_config import CameraConfig
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.datagen.views import (
     Moment,

@@ -8,7 +8,7 @@ policy could not tell them apart either.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -136,11 +136,6 @@ def clear_maximum(values: dict[str, float], margin: float) -> tuple[str, ...]:
     if len(ranked) > 1 and values[ranked[0]] - values[ranked[1]] < margin:
         return ()
     return (ranked[0],)
-
-
-def by_words(components: Iterable[Component]) -> dict[str, Component]:
-    """Mapping from words to phrase, in order."""
-    return {component.words: component for component in components}
 
 
 def extremes(

@@ -7,21 +7,16 @@ branch and no other, off the table, released and at rest.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import model_validator
 
 from codediffuser.datagen import drawing
-from codediffuser.datagen.instructions.components import (
-    Component,
-    PlaceByDistance,
-    by_words,
-    extremes,
-)
+from codediffuser.datagen.instructions.components import Component, PlaceByDistance, extremes
 from codediffuser.datagen.instructions.mug_components import BranchAt, MugCalled
+from codediffuser.datagen.layout import Layout, LayoutRequest, fixed_count
 from codediffuser.datagen.mug_check import SuccessConfig, check_hung, hanging_failure
 from codediffuser.datagen.mug_hanging import HangingConfig, hang_mug_moves
 from codediffuser.datagen.mug_meshes import mug_geometry
@@ -44,19 +39,10 @@ from codediffuser.datagen.mug_tree import (
     tree_places,
 )
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
-from codediffuser.datagen.task import (
-    TASKS,
-    Check,
-    Geometry,
-    Layout,
-    Move,
-    Pad,
-    SceneView,
-    Task,
-    TaskConfig,
-)
+from codediffuser.datagen.task import TASKS, Check, Geometry, Move, Pad, SceneView, Task
+from codediffuser.datagen.task_config import TaskConfig
 from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.errors import ConfigError, PlacementError
+from codediffuser.errors import PlacementError
 from codediffuser.poses import matrix_to_quat_wxyz, rotation_z
 from codediffuser.registry import unknown_name
 from codediffuser.schema import Strict
@@ -107,21 +93,11 @@ class LanguageConfig(Strict):
     """Between the distances of the nearest (furthest) branch and of the next one."""
 
 
-class ResetImageConfig(Strict):
-    """How the operator's picture is drawn."""
-
-    pad_margin_m: float
-    """How far the pad reaches beyond the areas of the mugs' middles."""
-    cross_spacing_m: float
-
-
-class HangMugConfig(TaskConfig):
+class HangMugConfig(TaskConfig[VariantConfig]):
     """Everything in `hang_mug.yaml`."""
 
     mug: MugConfig
-    variants: dict[str, VariantConfig]
     language: LanguageConfig
-    reset_image: ResetImageConfig
     success: SuccessConfig
     script: HangingConfig
 
@@ -138,7 +114,7 @@ class HangMugConfig(TaskConfig):
 
 
 @TASKS.add("hang_mug")
-class HangMug(Task[HangMugConfig]):
+class HangMug(Task[HangMugConfig, VariantConfig]):
     """Hang one of the mugs on one branch."""
 
     name: ClassVar[str] = "hang_mug"
@@ -146,31 +122,19 @@ class HangMug(Task[HangMugConfig]):
     pick_category: ClassVar[str] = "mug"
     place_category: ClassVar[str] = "branch"
 
-    def sample_layout(
-        self,
-        rng: np.random.Generator,
-        *,
-        variant: str = "sim",
-        picks: int | None = None,
-        places: int | None = None,
-    ) -> Layout:
+    def arrange(self, rng: np.random.Generator, asked: LayoutRequest[VariantConfig]) -> Layout:
         """Mugs of different colours, clear of each other, before an empty tree."""
-        ranges = self._ranges(variant)
+        ranges = asked.ranges
         branches = tree_places(ranges.tree)
-        _must_be("picks: mugs", picks, len(ranges.areas))
-        _must_be("places: branches", places, len(branches))
-        spots = self._spots(rng, ranges, f"variants.{variant}")
+        fixed_count("picks: mugs", asked.picks, len(ranges.areas))
+        fixed_count("places: branches", asked.places, len(branches))
+        spots = self._spots(rng, ranges, asked.key)
         colors = [ranges.colors[i] for i in rng.permutation(len(ranges.colors))[: len(spots)]]
         mugs = [
             self._mug(rng, f"mug_{i}", color, xy, ranges.handle_yaw_rad)
             for i, (color, xy) in enumerate(zip(colors, spots, strict=True))
         ]
         return Layout((*mugs, tree_object(ranges.tree)), branches)
-
-    def _ranges(self, variant: str) -> VariantConfig:
-        if variant not in self.config.variants:
-            raise ConfigError(unknown_name("variant", variant, list(self.config.variants)))
-        return self.config.variants[variant]
 
     @staticmethod
     def _spots(rng: np.random.Generator, ranges: VariantConfig, keys: str) -> np.ndarray:
@@ -201,43 +165,27 @@ class HangMug(Task[HangMugConfig]):
             color_rgb=self.config.mug.colors[color], shape=shape.sizes(),
         )  # fmt: skip
 
-    def components(self) -> Mapping[str, Component]:
+    def phrases(self) -> Iterable[Component]:
         """Mugs by colour and by where they stand; branches by side, level and distance."""
-        return self._components
-
-    @functools.cached_property
-    def _components(self) -> dict[str, Component]:
         side, margins = self.config.observer, self.config.language
-        directions = [
-            ("left-most", side.left),
-            ("right-most", side.right),
-            ("front-most", side.front),
-            ("back-most", side.back),
-        ]
         margin = margins.branch_margin_m
-        return by_words(
-            [
-                *extremes("mug", directions, margins.mug_margin_m),
-                *(MugCalled(f"{color} mug", "mug") for color in self.config.mug.colors),
-                *(
-                    PlaceByDistance(
-                        f"{which} branch", "branch", which, margins.branch_distance_margin_m
-                    )
-                    for which in ("furthest", "nearest")
-                ),
-                BranchAt("right-topmost branch", "branch", side.right, "top", margin),
-                BranchAt("left-topmost branch", "branch", side.left, "top", margin),
-                BranchAt("right-middle branch", "branch", side.right, "middle", margin),
-                BranchAt("left-middle branch", "branch", side.left, "middle", margin),
-                BranchAt("right branch", "branch", side.right, None, margin),
-                BranchAt("left branch", "branch", side.left, None, margin),
-                BranchAt("top branch", "branch", None, "top", margin),
-            ]
-        )
+        yield from extremes("mug", side.extremes, margins.mug_margin_m)
+        for color in self.config.mug.colors:
+            yield MugCalled(f"{color} mug", "mug")
+        apart = margins.branch_distance_margin_m
+        yield PlaceByDistance("furthest branch", "branch", "furthest", apart)
+        yield PlaceByDistance("nearest branch", "branch", "nearest", apart)
+        yield BranchAt("right-topmost branch", "branch", side.right, "top", margin)
+        yield BranchAt("left-topmost branch", "branch", side.left, "top", margin)
+        yield BranchAt("right-middle branch", "branch", side.right, "middle", margin)
+        yield BranchAt("left-middle branch", "branch", side.left, "middle", margin)
+        yield BranchAt("right branch", "branch", side.right, None, margin)
+        yield BranchAt("left branch", "branch", side.left, None, margin)
+        yield BranchAt("top branch", "branch", None, "top", margin)
 
     def pads(self, variant: str) -> tuple[Pad, ...]:
         """One pad, a margin larger than the areas of the mugs' middles together."""
-        ranges, picture = self._ranges(variant), self.config.reset_image
+        ranges, picture = self.ranges(variant), self.config.reset_image
         margin = picture.pad_margin_m
         low = np.min([(a.x_m[0], a.y_m[0]) for a in ranges.areas], axis=0) - margin
         high = np.max([(a.x_m[1], a.y_m[1]) for a in ranges.areas], axis=0) + margin
@@ -247,7 +195,7 @@ class HangMug(Task[HangMugConfig]):
     def draw_reset(self, scene: SceneSpec) -> drawing.Drawing:
         """Tree and pad from above; the target mug carries the name of its branch."""
         (pad,) = self.pads(scene.variant)
-        tree = self._ranges(scene.variant).tree
+        tree = self.ranges(scene.variant).tree
         place = scene.target.place
         painted = [*tree_from_above(tree, place), *drawing.pad_with_crosses(pad)]
         for mug in (o for o in scene.objects if o.category == "mug"):
@@ -282,15 +230,9 @@ class HangMug(Task[HangMugConfig]):
 
     def check_success(self, view: SceneView, pairs: Sequence[Pair]) -> Check:
         """The supplement's two criteria, and also: around the branch, let go, hanging still."""
-        hang_m = self._ranges(view.scene.variant).tree.hang_m
+        hang_m = self.ranges(view.scene.variant).tree.hang_m
         return check_hung(self.config.success, hang_m, view, pairs)
 
     def failure_phase(self, scene: SceneSpec, trajectory: Trajectory, pairs: Sequence[Pair]) -> str:
         """Phase and what happened in it: `grasp:missed`, `insert:missed_branch`, ..."""
         return hanging_failure(self.config.success, scene, trajectory, pairs)
-
-
-def _must_be(what: str, asked: int | None, count: int) -> None:
-    """Check a number that the variant fixes."""
-    if asked not in (None, count):
-        raise ConfigError(f"{what}: expected {count}, got {asked}")

@@ -6,8 +6,7 @@ Success: the battery stands in a slot that the instruction allows, released and 
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import ClassVar, Self
 
 import numpy as np
@@ -25,27 +24,16 @@ from codediffuser.datagen.instructions.components import (
     Component,
     PlaceBand,
     PlaceByDistance,
-    by_words,
     extremes,
 )
+from codediffuser.datagen.layout import Layout, LayoutRequest, drawn_count
 from codediffuser.datagen.packing_check import SuccessConfig, check_packed, packing_failure
 from codediffuser.datagen.packing_script import ScriptConfig, packing_moves
 from codediffuser.datagen.placement import Area, sample_positions
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec, Vector3
-from codediffuser.datagen.task import (
-    TASKS,
-    Check,
-    Geometry,
-    Layout,
-    Move,
-    Pad,
-    SceneView,
-    Task,
-    TaskConfig,
-)
+from codediffuser.datagen.task import TASKS, Check, Geometry, Move, Pad, SceneView, Task
+from codediffuser.datagen.task_config import TaskConfig
 from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.errors import ConfigError
-from codediffuser.registry import unknown_name
 from codediffuser.schema import Strict
 
 
@@ -83,22 +71,12 @@ class LanguageConfig(Strict):
     """Between the distances of the nearest (furthest) slot and of the next one."""
 
 
-class ResetImageConfig(Strict):
-    """How the operator's picture is drawn."""
-
-    pad_margin_m: float
-    """How far the pad reaches beyond the area of the batteries' middles."""
-    cross_spacing_m: float
-
-
-class PackBatteryConfig(TaskConfig):
+class PackBatteryConfig(TaskConfig[VariantConfig]):
     """Everything in `pack_battery.yaml`."""
 
     crate: CrateConfig
     battery: BatteryConfig
-    variants: dict[str, VariantConfig]
     language: LanguageConfig
-    reset_image: ResetImageConfig
     success: SuccessConfig
     script: ScriptConfig
 
@@ -121,7 +99,7 @@ class PackBatteryConfig(TaskConfig):
 
 
 @TASKS.add("pack_battery")
-class PackBattery(Task[PackBatteryConfig]):
+class PackBattery(Task[PackBatteryConfig, VariantConfig]):
     """Put one waiting battery into one free slot."""
 
     name: ClassVar[str] = "pack_battery"
@@ -129,39 +107,24 @@ class PackBattery(Task[PackBatteryConfig]):
     pick_category: ClassVar[str] = "battery"
     place_category: ClassVar[str] = "slot"
 
-    def sample_layout(
-        self,
-        rng: np.random.Generator,
-        *,
-        variant: str = "sim",
-        picks: int | None = None,
-        places: int | None = None,
-    ) -> Layout:
+    def arrange(self, rng: np.random.Generator, asked: LayoutRequest[VariantConfig]) -> Layout:
         """Batteries on the table, clear of each other, and others in slots; one slot stays free."""
-        crate = self.config.crate
-        ranges = self._ranges(variant)
+        crate, ranges = self.config.crate, asked.ranges
         slots = crate_slots(crate)
         low, high = ranges.packed_count
-        waiting = _count(rng, ranges.waiting_count, picks, "picks: waiting batteries")
+        waiting = drawn_count("picks: waiting batteries", asked.picks, ranges.waiting_count, rng)
         free_range = (len(slots) - high, len(slots) - low)
-        packed = len(slots) - _count(rng, free_range, places, "places: free slots")
+        packed = len(slots) - drawn_count("places: free slots", asked.places, free_range, rng)
         area = Area(
             ranges.area_x_m, ranges.area_y_m, ranges.min_distance_m, ranges.max_tries,
             ranges.max_redraws, (crate_footprint(crate),), self.config.battery.radius_m,
         )  # fmt: skip
-        spots = sample_positions(
-            rng, waiting, area, keys=f"variants.{variant}", what="waiting batteries"
-        )
+        spots = sample_positions(rng, waiting, area, keys=asked.key, what="waiting batteries")
         taken = [slots[i] for i in sorted(rng.choice(len(slots), size=packed, replace=False))]
         standing = [((float(x), float(y), 0.0), None) for x, y in spots]
         standing += [(slot.position_m, slot.id) for slot in taken]
         objects = [self._battery(rng, i, *spot) for i, spot in enumerate(standing)]
         return Layout((*objects, crate_object(crate)), slots)
-
-    def _ranges(self, variant: str) -> VariantConfig:
-        if variant not in self.config.variants:
-            raise ConfigError(unknown_name("variant", variant, list(self.config.variants)))
-        return self.config.variants[variant]
 
     def _battery(
         self, rng: np.random.Generator, number: int, position_m: Vector3, place: str | None
@@ -175,37 +138,23 @@ class PackBattery(Task[PackBatteryConfig]):
             quat_wxyz=(float(np.cos(half_yaw)), 0.0, 0.0, float(np.sin(half_yaw))),
         )  # fmt: skip
 
-    def components(self) -> Mapping[str, Component]:
+    def phrases(self) -> Iterable[Component]:
         """Extreme batteries among those that wait; rows and columns of the crate; near and far."""
-        return self._components
-
-    @functools.cached_property
-    def _components(self) -> dict[str, Component]:
         side, margins = self.config.observer, self.config.language
         half = self.config.crate.pitch_m / 2
-        directions = [
-            ("left-most", side.left),
-            ("right-most", side.right),
-            ("front-most", side.front),
-            ("back-most", side.back),
-        ]
-        return by_words(
-            [
-                *extremes("battery", directions, margins.battery_margin_m),
-                PlaceByDistance("furthest slot", "slot", "furthest", margins.slot_margin_m),
-                PlaceByDistance("nearest slot", "slot", "nearest", margins.slot_margin_m),
-                PlaceBand("slot on the front-most row", "slot", side.front, "first", half),
-                PlaceBand("slot on the middle row", "slot", side.front, "inner", half),
-                PlaceBand("slot on the back-most row", "slot", side.back, "first", half),
-                PlaceBand("slot on left column", "slot", side.left, "first", half),
-                PlaceBand("slot on the middle columns", "slot", side.left, "inner", half),
-                PlaceBand("slot on the right column", "slot", side.right, "first", half),
-            ]
-        )
+        yield from extremes("battery", side.extremes, margins.battery_margin_m)
+        yield PlaceByDistance("furthest slot", "slot", "furthest", margins.slot_margin_m)
+        yield PlaceByDistance("nearest slot", "slot", "nearest", margins.slot_margin_m)
+        yield PlaceBand("slot on the front-most row", "slot", side.front, "first", half)
+        yield PlaceBand("slot on the middle row", "slot", side.front, "inner", half)
+        yield PlaceBand("slot on the back-most row", "slot", side.back, "first", half)
+        yield PlaceBand("slot on left column", "slot", side.left, "first", half)
+        yield PlaceBand("slot on the middle columns", "slot", side.left, "inner", half)
+        yield PlaceBand("slot on the right column", "slot", side.right, "first", half)
 
     def pads(self, variant: str) -> tuple[Pad, ...]:
         """One pad, a margin larger than the area of the batteries' middles."""
-        ranges, picture = self._ranges(variant), self.config.reset_image
+        ranges, picture = self.ranges(variant), self.config.reset_image
         margin = picture.pad_margin_m
         low = (ranges.area_x_m[0] - margin, ranges.area_y_m[0] - margin)
         high = (ranges.area_x_m[1] + margin, ranges.area_y_m[1] + margin)
@@ -271,13 +220,3 @@ class PackBattery(Task[PackBatteryConfig]):
         """Phase and what happened in it: `grasp:missed`, `transport:dropped`, `place:on_rim`."""
         pitch_m = self.config.crate.pitch_m
         return packing_failure(self.config.success, pitch_m, scene, trajectory, pairs)
-
-
-def _count(rng: np.random.Generator, limits: tuple[int, int], asked: int | None, what: str) -> int:
-    """The number that was asked for, checked, or one drawn evenly from low to high."""
-    low, high = limits
-    if asked is None:
-        return int(rng.integers(low, high + 1))
-    if not low <= asked <= high:
-        raise ConfigError(f"{what}: expected {low} to {high}, got {asked}")
-    return asked

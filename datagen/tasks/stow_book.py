@@ -8,8 +8,7 @@ out, in line with the row, released and at rest.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import ClassVar, Self
 
 import numpy as np
@@ -28,23 +27,14 @@ from codediffuser.datagen.bookshelf import (
     shelf_object,
 )
 from codediffuser.datagen.instructions.book_components import Named, book_phrases
-from codediffuser.datagen.instructions.components import Component, by_words
+from codediffuser.datagen.instructions.components import Component
+from codediffuser.datagen.layout import Layout, LayoutRequest, fixed_count
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
 from codediffuser.datagen.stowing_check import SuccessConfig, check_stowed, stowing_failure
 from codediffuser.datagen.stowing_script import StowingScript, StowingScriptConfig
-from codediffuser.datagen.task import (
-    TASKS,
-    Check,
-    Geometry,
-    Layout,
-    Move,
-    Pad,
-    SceneView,
-    Task,
-    TaskConfig,
-)
+from codediffuser.datagen.task import TASKS, Check, Geometry, Move, Pad, SceneView, Task
+from codediffuser.datagen.task_config import TaskConfig
 from codediffuser.datagen.trajectory import Trajectory
-from codediffuser.errors import ConfigError
 from codediffuser.poses import make_transform, rotation_z
 from codediffuser.registry import unknown_name
 from codediffuser.schema import Strict
@@ -63,21 +53,11 @@ class VariantConfig(Strict):
     """0 turns the spine to the robot."""
 
 
-class ResetImageConfig(Strict):
-    """How the operator's picture is drawn."""
-
-    pad_margin_m: float
-    """How far the pad reaches beyond the area that books cover."""
-    cross_spacing_m: float
-
-
-class StowBookConfig(TaskConfig):
+class StowBookConfig(TaskConfig[VariantConfig]):
     """Everything in `stow_book.yaml`."""
 
     shelf: ShelfConfig
     books: BooksConfig
-    variants: dict[str, VariantConfig]
-    reset_image: ResetImageConfig
     success: SuccessConfig
     script: StowingScriptConfig
 
@@ -107,7 +87,7 @@ class StowBookConfig(TaskConfig):
 
 
 @TASKS.add("stow_book")
-class StowBook(Task[StowBookConfig]):
+class StowBook(Task[StowBookConfig, VariantConfig]):
     """Stow the waiting book in one slot of the shelf."""
 
     name: ClassVar[str] = "stow_book"
@@ -116,26 +96,18 @@ class StowBook(Task[StowBookConfig]):
     place_category: ClassVar[str] = "slot"
     push_phases: ClassVar[tuple[str, ...]] = ("approach", "turn")
 
-    def sample_layout(
-        self,
-        rng: np.random.Generator,
-        *,
-        variant: str = "sim",
-        picks: int | None = None,
-        places: int | None = None,
-    ) -> Layout:
+    def arrange(self, rng: np.random.Generator, asked: LayoutRequest[VariantConfig]) -> Layout:
         """A row of books of which one or two lean, and one more book on the pad."""
-        if picks not in (None, 1):
-            raise ConfigError(f"picks: waiting books: expected 1, got {picks}")
-        ranges, books, shelf = self._ranges(variant), self.config.books, self.config.shelf
+        fixed_count("picks: waiting books", asked.picks, 1)
+        ranges, books, shelf = asked.ranges, self.config.books, self.config.shelf
         new_title = ranges.pad_books[rng.integers(len(ranges.pad_books))]
         new_thickness = books.catalogue[new_title].thickness_m
         row = draw_row(
             rng, ranges.row, books, floor_m=shelf.floor_m,
-            y_m=shelf.spine_y_m + books.depth_m / 2, new_thickness_m=new_thickness, slots=places,
-            keys=f"variants.{variant}.row",
+            y_m=shelf.spine_y_m + books.depth_m / 2, new_thickness_m=new_thickness,
+            slots=asked.places, keys=f"{asked.key}.row",
         )  # fmt: skip
-        places_found, taken = row_places(row, shelf, books.depth_m, new_thickness)
+        places, taken = row_places(row, shelf, books.depth_m, new_thickness)
         spot = [rng.uniform(*ranges.pad_x_m), rng.uniform(*ranges.pad_y_m), 0.0]
         waiting = make_transform(rotation_z(rng.uniform(*ranges.pad_yaw_rad)), np.array(spot))
         objects = [book_object(books, new_title, "book_00", waiting)]
@@ -147,19 +119,10 @@ class StowBook(Task[StowBookConfig]):
             for i, book in enumerate(row)
         ]  # fmt: skip
         inner = ranges.row.row_width_m + sum(b.thickness_m for b in row if b.fixed)
-        return Layout((*objects, shelf_object(shelf, inner, books.depth_m)), tuple(places_found))
+        return Layout((*objects, shelf_object(shelf, inner, books.depth_m)), tuple(places))
 
-    def _ranges(self, variant: str) -> VariantConfig:
-        if variant not in self.config.variants:
-            raise ConfigError(unknown_name("variant", variant, list(self.config.variants)))
-        return self.config.variants[variant]
-
-    def components(self) -> Mapping[str, Component]:
+    def phrases(self) -> Iterable[Component]:
         """Titles and colours; slots next to a book, on one side of it, between two books."""
-        return self._components
-
-    @functools.cached_property
-    def _components(self) -> dict[str, Component]:
         variants, catalogue = self.config.variants.values(), self.config.books.catalogue
         waiting = dict.fromkeys(t for v in variants for t in v.pad_books)
         shelved = dict.fromkeys(
@@ -174,11 +137,11 @@ class StowBook(Task[StowBookConfig]):
             ]
 
         side = self.config.observer
-        return by_words(list(book_phrases(names(waiting), names(shelved), side.left, side.right)))
+        return book_phrases(names(waiting), names(shelved), side.left, side.right)
 
     def pads(self, variant: str) -> tuple[Pad, ...]:
         """One pad under everywhere that the waiting book may stand."""
-        ranges, picture = self._ranges(variant), self.config.reset_image
+        ranges, picture = self.ranges(variant), self.config.reset_image
         thickness = max(self.config.books.catalogue[t].thickness_m for t in ranges.pad_books)
         half_x, half_y = thickness / 2, self.config.books.depth_m / 2
         yaw = max(abs(angle) for angle in ranges.pad_yaw_rad)

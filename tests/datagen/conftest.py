@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from codediffuser.datagen.crate import crate_object, crate_slots
+from codediffuser.datagen.layout import Layout
 from codediffuser.datagen.scene import ObjectSpec, SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
-from codediffuser.datagen.task import Layout
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from codediffuser.datagen.instructions.book_components import Named, book_phrases
-from codediffuser.datagen.instructions.components import Component, by_words
+from codediffuser.datagen.instructions.components import Component
+from codediffuser.datagen.layout import Layout
 from codediffuser.datagen.scene import ObjectSpec, PlaceSpec
-from codediffuser.datagen.task import Layout
 
 LEFT, RIGHT = (-1.0, 0.0), (1.0, 0.0)
 
@@ -46,7 +46,7 @@ def phrases() -> dict[str, Component]:
         colors = [Named(f"the {c} book", name=f"{c} book") for c in ("red", "green", "blue")]
         return [*(Named(t, label=t) for t in titles), *colors]
 
-    return by_words(list(book_phrases(names("EA"), names("ABCDE"), LEFT, RIGHT)))
+    return {p.words: p for p in book_phrases(names("EA"), names("ABCDE"), LEFT, RIGHT)}
 
 
 @pytest.mark.parametrize(

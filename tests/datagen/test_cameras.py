@@ -13,7 +13,7 @@ from codediffuser.datagen.cameras import (
     sapien_camera_pose,
 )
 from codediffuser.datagen.scene import SceneSpec
-from codediffuser.datagen.task import CameraConfig, CameraView
+from codediffuser.datagen.task_config import CameraConfig, CameraView
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.datagen.views import moment_at
 from codediffuser.pointcloud import backproject_depth

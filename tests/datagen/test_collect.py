@@ -30,7 +30,8 @@ from codediffuser.datagen.randomization import load_randomization
 from codediffuser.datagen.record import DemoJob, record_demo, rerender_episode
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
-from codediffuser.datagen.task import CameraConfig, get_task
+from codediffuser.datagen.task import get_task
+from codediffuser.datagen.task_config import CameraConfig
 from codediffuser.datagen.workers import Outcome
 from codediffuser.errors import ConfigError, EpisodeError, RenderError
 from codediffuser.files import sha256_file
@@ -378,7 +379,7 @@ def _kill_when(run, workers, is_now):
         "from pathlib import Path\n"
         "from codediffuser.datagen.collect import CollectOptions, collect_demos\n"
         "from codediffuser.datagen.pictures import PictureOptions\n"
-        "from codediffuser.datagen.task import CameraConfig\n"
+        "from codediffuser.datagen.task_config import CameraConfig\n"
         "if __name__ == '__main__':\n"
         f"    cameras = CameraConfig.model_validate_json({cameras!r})\n"
         "    options = CollectOptions(PictureOptions(cameras=cameras))\n"

@@ -3,7 +3,8 @@ from collections.abc import Callable
 import pytest
 
 from codediffuser.datagen.instructions.components import clear_maximum
-from codediffuser.datagen.task import Layout, Observer
+from codediffuser.datagen.layout import Layout
+from codediffuser.datagen.task_config import Observer
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 
 Make = Callable[..., Layout]

@@ -7,8 +7,8 @@ from codediffuser.datagen.instructions.generator import check_instruction, make_
 from codediffuser.datagen.instructions.phrasebook import Sentence
 from codediffuser.datagen.instructions.reading import Reading, allowed_pairs
 from codediffuser.datagen.instructions.templates import load_templates
+from codediffuser.datagen.layout import Layout
 from codediffuser.datagen.scene import Pair, SceneSpec, Target
-from codediffuser.datagen.task import Layout
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.errors import InstructionError
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from codediffuser.datagen.layout import Layout
 from codediffuser.datagen.mug_tree import (
     TreeConfig,
     spoken,
@@ -13,7 +14,6 @@ from codediffuser.datagen.mug_tree import (
     tree_places,
 )
 from codediffuser.datagen.scene import Vector3
-from codediffuser.datagen.task import Layout
 from codediffuser.datagen.tasks.hang_mug import HangMug
 from codediffuser.errors import ConfigError
 from codediffuser.schema import parse_model

@@ -8,7 +8,7 @@ from codediffuser.datagen import drawing
 from codediffuser.datagen.drawing import Arrow, Box, Cross, Disc, Drawing, Text
 from codediffuser.datagen.reset_image import render_png, save_pictures
 from codediffuser.datagen.scene import SceneSpec
-from codediffuser.datagen.task import Observer
+from codediffuser.datagen.task_config import Observer
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 
 
