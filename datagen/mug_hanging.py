@@ -34,6 +34,8 @@ class StepsConfig(Strict):
     descend: int
     grasp: int
     lift: int
+    carry: int
+    """For every 0.1 m sideways."""
     transport: int
     align: int
     insert: int
@@ -63,7 +65,8 @@ class HangingConfig(Strict):
     place_yaw_rad: float
     """The handle's plane stands up to this far from square to the branch."""
     tilt_rad: Range
-    """How far the hand leans back, toward where the mug will hang; upright it would swing long."""
+    """How far the hand leans back, toward where the mug will hang; upright it would swing long. A
+    mug that has sunk in the hand leans less, so that the arm stays clear of its limits."""
     before_tip_m: Range
     """Where the handle's middle meets the branch's line, before the tip."""
     over_line_m: Range
@@ -116,8 +119,9 @@ def hang_mug_moves(
 ) -> Iterator[Move]:
     """Yield the moves of one demonstration.
 
-    The mug is grasped from above across its body, so that the handle stays free; brought before the
-    tip with its handle's plane square to the branch; led inward along the branch; let go.
+    The mug is grasped from above across its body, so that the handle stays free; carried sideways
+    while still in front of the tree, since the straight way may lead through another branch; brought
+    before the tip with its handle's plane square to the branch; led inward along the branch; let go.
 
     Args:
         view: The state, looked at again before each move that depends on how the mug is held.
@@ -154,6 +158,10 @@ def hang_mug_moves(
     hang = _draw(rng, config.hang_along_m)
     sink = -plan.slack_m(branch_radius_m) + _draw(rng, config.rest_gap_m)
     over = _draw(rng, config.over_line_m)
+    beside = lift.copy()
+    beside[0, 3] = hand(before, over)[0, 3]
+    carry_steps = max(1, round(steps["carry"] * abs(beside[0, 3] - lift[0, 3]) / 0.1))
+    yield Move("carry", beside, carry_steps, CLOSED_M)
     yield Move("transport", hand(before, over), steps["transport"], CLOSED_M)
     yield Move("align", hand(before), steps["align"], CLOSED_M)
     yield Move("insert", hand(hang), steps["insert"], CLOSED_M)
@@ -208,8 +216,9 @@ def _hanging_rotation(
     yaw = square + rng.uniform(-1, 1) * config.place_yaw_rad
     # The arm leans back toward the robot with ease, and sideways not at all.
     tilt = _draw(rng, config.tilt_rad) * max(0.0, float(np.sin(square)))
+    sunk = float(np.arcsin(np.clip(-T_world_mug[2, 0], -1, 1)))
     lean_axis = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
-    return np.asarray(Rotation.from_rotvec(tilt * lean_axis).as_matrix() @ rotation_z(yaw))
+    return np.asarray(Rotation.from_rotvec((tilt - sunk) * lean_axis).as_matrix() @ rotation_z(yaw))
 
 
 def _yaw(direction: np.ndarray) -> float:

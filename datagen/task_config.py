@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from codediffuser.datagen.configuration_split import SplitConfig
 from codediffuser.datagen.layout import V
 from codediffuser.datagen.scene import Vector3
+from codediffuser.datagen.task_words import WordsConfig
 from codediffuser.schema import Document, Strict
 
 
@@ -135,6 +136,7 @@ class TaskConfig(Document, Generic[V]):
     observer: Observer = Observer()
     splits: SplitConfig = SplitConfig()
     labeling: LabelingConfig = LabelingConfig()
+    words: WordsConfig = WordsConfig()
     reset_image: ResetImageConfig
     variants: dict[str, V]
     """Ranges that scenes are drawn from, by name."""
