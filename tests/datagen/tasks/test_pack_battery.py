@@ -1,5 +1,4 @@
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -8,6 +7,7 @@ from codediffuser.datagen.crate import crate_slots
 from codediffuser.datagen.packing_script import R_WORLD_HAND_DOWN
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
+from codediffuser.datagen.task import SceneView
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.poses import make_transform, matrix_to_quat_wxyz, rotation_z
@@ -16,27 +16,9 @@ HAND_AWAY = make_transform(R_WORLD_HAND_DOWN, np.array([0.0, 0.0, 0.30]))
 TILTED = np.array([[1, 0, 0], [0, np.cos(0.5), -np.sin(0.5)], [0, np.sin(0.5), np.cos(0.5)]])
 
 
-@dataclass
-class FakeView:
-    """A state that is made up."""
-
-    scene: SceneSpec
-    poses: dict[str, np.ndarray] = field(default_factory=dict)
-    hand: np.ndarray = field(default_factory=lambda: HAND_AWAY)
-    opening_m: float = 0.04
-    speed: tuple[float, float] = (0.0, 0.0)
-
-    def T_world_object(self, object_id: str) -> np.ndarray:
-        return self.poses.get(object_id, self.scene.object(object_id).T_world_object)
-
-    def object_speed(self, object_id: str) -> tuple[float, float]:
-        return self.speed
-
-    def T_world_hand(self) -> np.ndarray:
-        return self.hand
-
-    def gripper_opening_m(self) -> float:
-        return self.opening_m
+@pytest.fixture
+def hand_away() -> np.ndarray:
+    return HAND_AWAY
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +27,17 @@ def scene(pack_battery: PackBattery) -> SceneSpec:
 
 
 @pytest.fixture
-def solved(scene: SceneSpec) -> Callable[..., FakeView]:
+def solved(scene: SceneSpec, make_view: Callable[..., SceneView]) -> Callable[..., SceneView]:
     """The target battery stands in the target slot; the arguments change that."""
 
     def make(
         offset_m: tuple[float, float, float] = (0, 0, 0),
         R: np.ndarray | None = None,
         **state: object,
-    ) -> FakeView:
+    ) -> SceneView:
         at = np.array(scene.place(scene.target.place).position_m) + offset_m
         pose = make_transform(rotation_z(1.0) if R is None else R, at)
-        return FakeView(scene, {scene.target.pick: pose}, **state)  # type: ignore[arg-type]
+        return make_view(scene, {scene.target.pick: pose}, **state)
 
     return make
 
@@ -138,9 +120,9 @@ def test_packed_batteries_are_lighter(pack_battery: PackBattery, scene: SceneSpe
 
 
 def test_the_script_takes_185_steps_through_the_named_phases(
-    pack_battery: PackBattery, scene: SceneSpec
+    pack_battery: PackBattery, scene: SceneSpec, make_view: Callable[..., SceneView]
 ) -> None:
-    moves = list(pack_battery.script(FakeView(scene), np.random.default_rng(0)))
+    moves = list(pack_battery.script(make_view(scene), np.random.default_rng(0)))
     assert sum(move.steps for move in moves) == 185
     phases = list(dict.fromkeys(move.phase for move in moves))
     assert phases == [
@@ -157,7 +139,7 @@ def test_the_script_takes_185_steps_through_the_named_phases(
 
 
 def test_a_battery_that_stands_in_the_slot_is_success(
-    pack_battery: PackBattery, scene: SceneSpec, solved: Callable[..., FakeView]
+    pack_battery: PackBattery, scene: SceneSpec, solved: Callable[..., SceneView]
 ) -> None:
     check = pack_battery.check_success(solved(), scene.instruction.pairs)
     assert check.success and check.reason == ""
@@ -176,7 +158,7 @@ def test_a_battery_that_stands_in_the_slot_is_success(
     ],
 )
 def test_each_condition_alone_prevents_success(
-    pack_battery: PackBattery, scene: SceneSpec, solved: Callable[..., FakeView],
+    pack_battery: PackBattery, scene: SceneSpec, solved: Callable[..., SceneView],
     change: dict[str, object], reason: str,
 ) -> None:  # fmt: skip
     pairs = [(scene.target.pick, scene.target.place)]
@@ -186,7 +168,7 @@ def test_each_condition_alone_prevents_success(
 
 
 def test_a_battery_that_is_still_held_is_no_success(
-    pack_battery: PackBattery, scene: SceneSpec, solved: Callable[..., FakeView]
+    pack_battery: PackBattery, scene: SceneSpec, solved: Callable[..., SceneView]
 ) -> None:
     pairs = [(scene.target.pick, scene.target.place)]
     at = np.add(scene.place(scene.target.place).position_m, (0, 0, 0.11))
@@ -198,7 +180,7 @@ def test_a_battery_that_is_still_held_is_no_success(
 
 
 def test_any_pair_of_the_instruction_will_do_but_no_other(
-    pack_battery: PackBattery, scene: SceneSpec, solved: Callable[..., FakeView]
+    pack_battery: PackBattery, scene: SceneSpec, solved: Callable[..., SceneView]
 ) -> None:
     wanted = (scene.target.pick, scene.target.place)
     other = next(o.id for o in scene.pickable if o.id != scene.target.pick)

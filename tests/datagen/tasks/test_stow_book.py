@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from codediffuser.datagen.scene import ObjectSpec, SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
 from codediffuser.datagen.spine import spine_image
 from codediffuser.datagen.stowing_script import hand_rotation
+from codediffuser.datagen.task import SceneView
 from codediffuser.datagen.tasks.stow_book import StowBook, StowBookConfig
 from codediffuser.datagen.views import Moment, join_moments
 from codediffuser.errors import ConfigError
@@ -28,27 +28,9 @@ HAND_AWAY = make_transform(hand_rotation(0.0, 0.7), np.array([0.4, -0.4, 0.3]))
 LEANING = np.array([[np.cos(0.3), 0, np.sin(0.3)], [0, 1, 0], [-np.sin(0.3), 0, np.cos(0.3)]])
 
 
-@dataclass
-class FakeView:
-    """A state that is made up."""
-
-    scene: SceneSpec
-    poses: dict[str, np.ndarray] = field(default_factory=dict)
-    hand: np.ndarray = field(default_factory=lambda: HAND_AWAY)
-    opening_m: float = 0.04
-    speed: tuple[float, float] = (0.0, 0.0)
-
-    def T_world_object(self, object_id: str) -> np.ndarray:
-        return self.poses.get(object_id, self.scene.object(object_id).T_world_object)
-
-    def object_speed(self, object_id: str) -> tuple[float, float]:
-        return self.speed
-
-    def T_world_hand(self) -> np.ndarray:
-        return self.hand
-
-    def gripper_opening_m(self) -> float:
-        return self.opening_m
+@pytest.fixture
+def hand_away() -> np.ndarray:
+    return HAND_AWAY
 
 
 @pytest.fixture(scope="module")
@@ -72,17 +54,17 @@ def scene(task: StowBook) -> SceneSpec:
 
 
 @pytest.fixture
-def solved(scene: SceneSpec) -> Callable[..., FakeView]:
+def solved(scene: SceneSpec, make_view: Callable[..., SceneView]) -> Callable[..., SceneView]:
     """The target book stands in the target slot; the arguments change that."""
 
     def make(
         offset_m: tuple[float, float, float] = (0, 0, 0),
         R: np.ndarray | None = None,
         **state: object,
-    ) -> FakeView:
+    ) -> SceneView:
         at = np.array(scene.place(scene.target.place).position_m) + offset_m
         pose = make_transform(np.eye(3) if R is None else R, at)
-        return FakeView(scene, {scene.target.pick: pose}, **state)  # type: ignore[arg-type]
+        return make_view(scene, {scene.target.pick: pose}, **state)
 
     return make
 
@@ -182,7 +164,7 @@ def test_a_slot_lies_between_its_neighbours(drawn: list[SceneSpec]) -> None:
             assert left[-1] in leaning(scene) or right[0] in leaning(scene)
 
 
-def test_a_stowed_book_is_a_success(task: StowBook, solved: Callable[..., FakeView]) -> None:
+def test_a_stowed_book_is_a_success(task: StowBook, solved: Callable[..., SceneView]) -> None:
     view = solved()
     check = task.check_success(view, view.scene.instruction.pairs)
     assert check.success, check.reason
@@ -201,7 +183,7 @@ def test_a_stowed_book_is_a_success(task: StowBook, solved: Callable[..., FakeVi
     ],
 )
 def test_what_is_amiss_is_named(
-    task: StowBook, solved: Callable[..., FakeView], state: dict[str, object], reason: str
+    task: StowBook, solved: Callable[..., SceneView], state: dict[str, object], reason: str
 ) -> None:
     view = solved(**state)
     pair = (view.scene.target.pick, view.scene.target.place)
@@ -209,7 +191,7 @@ def test_what_is_amiss_is_named(
 
 
 def test_a_book_in_the_hand_is_not_released(
-    task: StowBook, solved: Callable[..., FakeView]
+    task: StowBook, solved: Callable[..., SceneView]
 ) -> None:
     view = solved()
     near = make_transform(hand_rotation(0.0, 0.7), view.T_world_object("book_00")[:3, 3])
@@ -218,7 +200,7 @@ def test_a_book_in_the_hand_is_not_released(
     assert task.check_success(held, [pair]).reason == "released_opening_m"
 
 
-def test_another_slot_is_no_success(task: StowBook, solved: Callable[..., FakeView]) -> None:
+def test_another_slot_is_no_success(task: StowBook, solved: Callable[..., SceneView]) -> None:
     view = solved()
     pick, place = view.scene.target.pick, view.scene.target.place
     for other in view.scene.free_places:
@@ -226,7 +208,7 @@ def test_another_slot_is_no_success(task: StowBook, solved: Callable[..., FakeVi
 
 
 def test_a_row_that_was_knocked_out_is_no_success(
-    task: StowBook, solved: Callable[..., FakeView]
+    task: StowBook, solved: Callable[..., Any]
 ) -> None:
     view = solved()
     victim = next(o for o in shelved_books(view.scene) if not o.fixed)
