@@ -1,7 +1,7 @@
 """hang_mug: what is drawn, how it is judged, how failures are called, what the expert does."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +13,14 @@ from codediffuser.datagen.mug_shapes import MugShape, passes_handle
 from codediffuser.datagen.mug_tree import tree_branches, tree_of
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.scene_sampler import sample_scene
-from codediffuser.datagen.task import Move
+from codediffuser.datagen.task import Move, SceneView
 from codediffuser.datagen.tasks.hang_mug import HangMug, HangMugConfig
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.errors import ConfigError, PlacementError
 from codediffuser.poses import make_transform, matrix_to_quat_wxyz, rotation_z
+
+MakeView = Callable[..., SceneView]
+Moves = Callable[[SceneSpec, int], list[Move]]
 
 HAND_AWAY = make_transform(R_WORLD_HAND_DOWN, np.array([0.0, -0.2, 0.30]))
 PHASES = [
@@ -26,27 +29,9 @@ PHASES = [
 ]  # fmt: skip
 
 
-@dataclass
-class FakeView:
-    """A state that is made up."""
-
-    scene: SceneSpec
-    poses: dict[str, np.ndarray] = field(default_factory=dict)
-    hand: np.ndarray = field(default_factory=lambda: HAND_AWAY)
-    opening_m: float = 0.04
-    speed: tuple[float, float] = (0.0, 0.0)
-
-    def T_world_object(self, object_id: str) -> np.ndarray:
-        return self.poses.get(object_id, self.scene.object(object_id).T_world_object)
-
-    def object_speed(self, object_id: str) -> tuple[float, float]:
-        return self.speed
-
-    def T_world_hand(self) -> np.ndarray:
-        return self.hand
-
-    def gripper_opening_m(self) -> float:
-        return self.opening_m
+@pytest.fixture
+def hand_away() -> np.ndarray:
+    return HAND_AWAY
 
 
 @pytest.fixture(scope="module")
@@ -72,15 +57,15 @@ def hung(scene: SceneSpec, mug: str, branch: str) -> np.ndarray:
 
 
 @pytest.fixture
-def solved(scene: SceneSpec) -> Callable[..., FakeView]:
+def solved(scene: SceneSpec, make_view: MakeView) -> MakeView:
     """The target mug hangs on the target branch; the arguments change that."""
 
     def make(
         offset_m: tuple[float, float, float] = (0, 0, 0), branch: str | None = None, **state: object
-    ) -> FakeView:
+    ) -> SceneView:
         pose = hung(scene, scene.target.pick, branch or scene.target.place)
         pose[:3, 3] += offset_m
-        return FakeView(scene, {scene.target.pick: pose}, **state)  # type: ignore[arg-type]
+        return make_view(scene, {scene.target.pick: pose}, **state)
 
     return make
 
@@ -155,9 +140,7 @@ def test_unknown_colors_are_refused(task: HangMug) -> None:
         HangMugConfig.parse(raw, "hang_mug.yaml")
 
 
-def test_a_mug_that_hangs_is_success(
-    task: HangMug, scene: SceneSpec, solved: Callable[..., FakeView]
-) -> None:
+def test_a_mug_that_hangs_is_success(task: HangMug, scene: SceneSpec, solved: MakeView) -> None:
     check = task.check_success(solved(), [(scene.target.pick, scene.target.place)])
     assert check.success and check.reason == ""
     assert len(check.conditions) == 7
@@ -174,7 +157,7 @@ def test_a_mug_that_hangs_is_success(
     ],
 )
 def test_each_condition_prevents_success(
-    task: HangMug, scene: SceneSpec, solved: Callable[..., FakeView], change: dict[str, object],
+    task: HangMug, scene: SceneSpec, solved: MakeView, change: dict[str, object],
     reason: str,
 ) -> None:  # fmt: skip
     check = task.check_success(solved(**change), [(scene.target.pick, scene.target.place)])
@@ -183,20 +166,20 @@ def test_each_condition_prevents_success(
 
 
 def test_a_mug_that_stands_beside_the_trunk_below_the_branch_is_no_success(
-    task: HangMug, scene: SceneSpec
+    task: HangMug, scene: SceneSpec, make_view: MakeView
 ) -> None:
     # The supplement's two criteria alone would let it pass.
     pick, place = scene.target.pick, scene.target.place
     branch = tree_branches(tree_of(scene))[place].at(0.07)
     beside = make_transform(np.eye(3), branch - np.array([0.0, 0.08, 0.05]))
-    check = task.check_success(FakeView(scene, {pick: beside}), [(pick, place)])
+    check = task.check_success(make_view(scene, {pick: beside}), [(pick, place)])
     held = {c.name: c.holds for c in check.conditions}
     assert held["dx_m"] and held["below_branch_m"]
     assert check.reason == "around_branch"
 
 
 def test_a_mug_that_is_still_held_is_no_success(
-    task: HangMug, scene: SceneSpec, solved: Callable[..., FakeView]
+    task: HangMug, scene: SceneSpec, solved: MakeView
 ) -> None:
     pairs = [(scene.target.pick, scene.target.place)]
     at = hung(scene, *pairs[0])[:3, 3] + (0.0, -0.05, FINGER_REACH_M)
@@ -209,7 +192,7 @@ def test_a_mug_that_is_still_held_is_no_success(
 
 
 def test_every_other_branch_is_the_wrong_one(
-    task: HangMug, scene: SceneSpec, solved: Callable[..., FakeView]
+    task: HangMug, scene: SceneSpec, solved: MakeView
 ) -> None:
     pick, place = scene.target.pick, scene.target.place
     for other in (p.id for p in scene.places if p.id != place):
@@ -220,10 +203,10 @@ def test_every_other_branch_is_the_wrong_one(
     assert not task.check_success(solved(), []).success
 
 
-def trajectory_of(scene: SceneSpec, path: list[FakeView]) -> Trajectory:
-    """Moments as the views show them, after the reset."""
+def trajectory_of(views: list[Any]) -> Trajectory:
+    """Moments as views of one scene show them, that of the reset first."""
+    scene = views[0].scene
     ids = tuple(o.id for o in scene.objects if not o.fixed)
-    views = [FakeView(scene), *path]
     poses = np.array([[view.T_world_object(i) for i in ids] for view in views])
     hands = np.array([view.hand for view in views])
     return Trajectory(
@@ -239,7 +222,7 @@ def trajectory_of(scene: SceneSpec, path: list[FakeView]) -> Trajectory:
     )
 
 
-def test_failures_are_named_by_phase(task: HangMug, scene: SceneSpec) -> None:
+def test_failures_are_named_by_phase(task: HangMug, scene: SceneSpec, make_view: MakeView) -> None:
     pick, place = scene.target.pick, scene.target.place
     other = next(o.id for o in scene.pickable if o.id != pick)
     wrong = next(p.id for p in scene.places if p.id != place)
@@ -253,8 +236,9 @@ def test_failures_are_named_by_phase(task: HangMug, scene: SceneSpec) -> None:
     def hand_at(T_world_mug: np.ndarray) -> np.ndarray:
         return make_transform(R_WORLD_HAND_DOWN, T_world_mug[:3, 3] + (0, 0, FINGER_REACH_M))
 
-    def moved(*poses: np.ndarray, mug: str = pick, **state: object) -> list[FakeView]:
-        return [FakeView(scene, {mug: pose}, **state) for pose in poses]  # type: ignore[arg-type]
+    def moved(*poses: np.ndarray, mug: str = pick, **state: object) -> list[SceneView]:
+        after = [make_view(scene, {mug: pose}, **state) for pose in poses]
+        return [make_view(scene), *after]
 
     cases = {
         "grasp:missed": moved(),
@@ -269,33 +253,41 @@ def test_failures_are_named_by_phase(task: HangMug, scene: SceneSpec) -> None:
         "release:not_at_rest": moved(in_air, hanging),
     }
     called = {
-        name: task.failure_phase(scene, trajectory_of(scene, path), [(pick, place)])
-        for name, path in cases.items()
+        name: task.failure_phase(scene, trajectory_of(views), [(pick, place)])
+        for name, views in cases.items()
     }
     assert called == {name: name for name in cases}
 
 
-def moves_of(task: HangMug, scene: SceneSpec, seed: int) -> list[Move]:
-    view = FakeView(scene)
-    moves = []
-    for move in task.script(view, np.random.default_rng(seed)):
-        moves.append(move)
-        if move.phase == "grasp":
-            view.hand = move.T_world_hand
-    return moves
+@pytest.fixture
+def moves_of(task: HangMug, make_view: Callable[..., Any]) -> Moves:
+    """The script's moves in a scene with a seed; the hand is where it grasped from then on."""
+
+    def play(scene: SceneSpec, seed: int) -> list[Move]:
+        view = make_view(scene)
+        moves = []
+        for move in task.script(view, np.random.default_rng(seed)):
+            moves.append(move)
+            if move.phase == "grasp":
+                view.hand = move.T_world_hand
+        return moves
+
+    return play
 
 
-def test_the_script_goes_through_its_phases_in_time(task: HangMug, scene: SceneSpec) -> None:
+def test_the_script_goes_through_its_phases_in_time(
+    task: HangMug, scene: SceneSpec, moves_of: Moves
+) -> None:
     for seed in range(20):
-        moves = moves_of(task, scene, seed)
+        moves = moves_of(scene, seed)
         assert [move.phase for move in moves] == PHASES
         assert sum(move.steps for move in moves) < 0.9 * task.config.max_steps
 
 
-def test_fingers_close_on_the_sides_beside_the_handle(task: HangMug) -> None:
+def test_fingers_close_on_the_sides_beside_the_handle(task: HangMug, moves_of: Moves) -> None:
     for index in range(10):
         scene = sample_scene(task, root_seed=2, index=index)
-        grasp = next(m for m in moves_of(task, scene, index) if m.phase == "grasp")
+        grasp = next(m for m in moves_of(scene, index) if m.phase == "grasp")
         T = scene.object(scene.target.pick).T_world_object
         assert abs(grasp.T_world_hand[:3, 1] @ T[:3, 0]) < 0.3
         assert np.linalg.norm(grasp.T_world_hand[:2, 3] - T[:2, 3]) < 0.005
@@ -303,13 +295,13 @@ def test_fingers_close_on_the_sides_beside_the_handle(task: HangMug) -> None:
         assert 0.02 < T[2, 3] + scene.object(scene.target.pick).shape["height_m"] / 2 - tips < 0.045
 
 
-def test_the_handle_is_led_over_the_branch_from_its_tip(task: HangMug) -> None:
+def test_the_handle_is_led_over_the_branch_from_its_tip(task: HangMug, moves_of: Moves) -> None:
     for index in range(12):
         scene = sample_scene(task, root_seed=3, index=index)
         pick, place = scene.target.pick, scene.target.place
         shape = MugShape.of(scene.object(pick).shape)
         branch = tree_branches(tree_of(scene))[place]
-        moves = {m.phase: m.T_world_hand for m in moves_of(task, scene, index)}
+        moves = {m.phase: m.T_world_hand for m in moves_of(scene, index)}
         held = np.linalg.inv(moves["grasp"]) @ scene.object(pick).T_world_object
 
         ends = branch.at(0.0), branch.at(branch.length_m)
@@ -320,8 +312,8 @@ def test_the_handle_is_led_over_the_branch_from_its_tip(task: HangMug) -> None:
         assert around == {"align": False, "insert": True, "lower": True}
 
 
-def test_no_two_demonstrations_are_one_motion(task: HangMug, scene: SceneSpec) -> None:
-    one, same, other = (moves_of(task, scene, seed) for seed in (0, 0, 1))
+def test_no_two_demonstrations_are_one_motion(scene: SceneSpec, moves_of: Moves) -> None:
+    one, same, other = (moves_of(scene, seed) for seed in (0, 0, 1))
     for a, b, c in zip(one, same, other, strict=True):
         np.testing.assert_array_equal(a.T_world_hand, b.T_world_hand)
         if a.phase not in ("home", "settle"):
