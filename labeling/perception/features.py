@@ -79,7 +79,7 @@ class FeatureOptions:
 
 FEATURES: Registry[Callable[[FeatureOptions], FeatureBackend]] = Registry("feature backend")
 
-BACKEND_MODULES = ("oracle_features",)
+BACKEND_MODULES = ("oracle_features", "dinov2")
 """Modules of this folder that fill `FEATURES` when imported; they import torch only when used."""
 
 
