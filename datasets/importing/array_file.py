@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import abc
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class Column:
 
 
 class ArrayFile(abc.ABC):
-    """A file or folder of episodes with one row per frame; a context manager.
+    """A file or folder of episodes with one row per frame; `contextlib.closing` closes it.
 
     A subclass fills `episodes` when it is built.
     """
@@ -91,17 +90,6 @@ class ArrayFile(abc.ABC):
         raise DatasetError(
             f"{self.path}: {self.format} holds no calibration; give K and T_world_camera, no info"
         )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def natural_order(name: str) -> tuple[str, int]:

@@ -24,10 +24,7 @@ HALF_PIXEL = 0.5
 class _Hdf5File(ArrayFile):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        try:
-            self._file = h5py.File(path, "r")
-        except OSError as error:
-            raise DatasetError(f"{path}: is no HDF5 file, or is cut off ({error})") from None
+        self._file = _opened(path)
 
     def close(self) -> None:
         """Close the file."""
@@ -203,9 +200,8 @@ def open_hdf5(path: Path) -> ArrayFile:
     Raises:
         DatasetError: It is none of the known layouts.
     """
-    with _Hdf5Probe(path) as probe:
-        kind = probe.kind()
-        names = probe.names()
+    with _opened(path) as file:
+        kind, names = _kind(file), sorted(file)
     if kind is None:
         raise DatasetError(
             f"{path}: expected ALOHA (observations/qpos, action), robomimic (data/demo_<i>) or "
@@ -214,18 +210,18 @@ def open_hdf5(path: Path) -> ArrayFile:
     return kind(path)
 
 
-class _Hdf5Probe(_Hdf5File):
-    def columns(self, episode: str) -> dict[str, Column]:
-        return {}
+def _opened(path: Path) -> h5py.File:
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        raise DatasetError(f"{path}: is no HDF5 file, or is cut off ({error})") from None
 
-    def names(self) -> list[str]:
-        return sorted(self._file)
 
-    def kind(self) -> type[_Hdf5File] | None:
-        if "observations" in self._file and "action" in self._file:
-            return AlohaFile
-        if "data" in self._file and any(n.startswith("demo") for n in self._file["data"]):
-            return RobomimicFile
-        if any(name.startswith("traj_") for name in self._file):
-            return ManiSkillFile
-        return None
+def _kind(file: h5py.File) -> type[_Hdf5File] | None:
+    if "observations" in file and "action" in file:
+        return AlohaFile
+    if "data" in file and any(name.startswith("demo") for name in file["data"]):
+        return RobomimicFile
+    if any(name.startswith("traj_") for name in file):
+        return ManiSkillFile
+    return None

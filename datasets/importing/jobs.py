@@ -7,6 +7,7 @@ of workers, with refusals, or with an import that was cut off.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def plan_jobs(sources: Sequence[Path], config: ImportConfig, config_folder: Path
 def _cuts(source: Path, config: ImportConfig) -> list[_Cut]:
     """Segments of one source; a source that cannot be opened is one refused segment."""
     try:
-        with open_source(source) as opened:
+        with closing(open_source(source)) as opened:
             if isinstance(opened, ArrayFile):
                 return [
                     _Cut(source, i, name, 0, 0, config.success, "")

@@ -7,8 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 
@@ -35,7 +34,7 @@ class Topic:
 
 
 class Recording(abc.ABC):
-    """A bag that is open for reading; a context manager.
+    """A bag that is open for reading; `contextlib.closing` closes it.
 
     A subclass fills `topics`, `times_ns` and `damage` when it is built.
     """
@@ -62,17 +61,6 @@ class Recording(abc.ABC):
     @abc.abstractmethod
     def close(self) -> None:
         """Close all files."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     @property
     def span_ns(self) -> tuple[int, int]:

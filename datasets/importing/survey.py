@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -68,7 +69,7 @@ def survey_source(path: Path) -> Survey:
     Raises:
         DatasetError: It cannot be opened.
     """
-    with open_source(path) as source:
+    with closing(open_source(path)) as source:
         return _survey_rows(source) if isinstance(source, ArrayFile) else _survey_bag(source)
 
 

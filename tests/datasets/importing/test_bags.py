@@ -2,6 +2,7 @@
 
 import shutil
 import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -246,11 +247,11 @@ def small_bag(tmp_path):
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
 def test_a_truncated_bag_gives_what_is_whole(kind, share, tmp_path, bag, small_bag):
     path = small_bag if kind == "mcap" else bag.write_rosbag1(tmp_path / "bag.bag")
-    with open_source(path) as whole:
+    with closing(open_source(path)) as whole:
         assert whole.damage == []
         contents = {t: [whole.read(t, i) for i in range(len(n))] for t, n in whole.times_ns.items()}
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-    with open_source(path) as cut:
+    with closing(open_source(path)) as cut:
         assert any("cut off" in text for text in cut.damage)
         kept = sum(len(times) for times in cut.times_ns.values())
         assert abs(kept / sum(map(len, contents.values())) - share) < 0.15
@@ -275,7 +276,7 @@ def test_a_damaged_chunk_costs_its_messages_alone(small_bag, run_import):
 
 def test_a_split_bag_without_metadata_is_read_in_order(tmp_path, bag):
     folder = bag.write_rosbag2(tmp_path / "bag", StoragePlugin.SQLITE3)
-    with open_source(folder) as whole:
+    with closing(open_source(folder)) as whole:
         expected = {t: times.tolist() for t, times in whole.times_ns.items()}
     (folder / "metadata.yaml").unlink()
     first, second = folder / "bag_9.db3", folder / "bag_10.db3"
@@ -285,7 +286,7 @@ def test_a_split_bag_without_metadata_is_read_in_order(tmp_path, bag):
     for path, drop in ((first, ">="), (second, "<")):
         with sqlite3.connect(path) as database:
             database.execute(f"DELETE FROM messages WHERE timestamp {drop} {middle}")
-    with open_source(folder) as split:
+    with closing(open_source(folder)) as split:
         assert {t: times.tolist() for t, times in split.times_ns.items()} == expected
         assert any("no metadata.yaml" in text for text in split.damage)
         last = len(split.times_ns["/cam/image"]) - 1
