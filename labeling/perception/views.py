@@ -62,9 +62,9 @@ def stack_views(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray, tuple[Ca
     """
     if not views:
         raise EpisodeError("no camera gives calibrated depth, so there is nothing to perceive")
-    sizes = {v.name: v.depth_m.shape for v in views}
-    if len(set(sizes.values())) > 1:
-        raise ShapeError(f"expected cameras of one picture size, got (H, W) {sizes}")
+    if len({v.depth_m.shape for v in views}) > 1:
+        sizes = ", ".join(f"{v.name} {v.depth_m.shape}" for v in views)
+        raise ShapeError(f"expected cameras of one picture size (H, W), got {sizes}")
     return (
         np.stack([v.rgb for v in views]),
         np.stack([v.depth_m for v in views]).astype(np.float32),
