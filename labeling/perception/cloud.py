@@ -110,7 +110,7 @@ class CloudFuser:
         usable = (z >= self.min_depth_m) & (z <= self.max_depth_m)  # False for NaN
         if self.drop_flying:
             usable &= ~flying_pixels(view.depth_m, view.camera.K).reshape(-1)
-        pixel = np.flatnonzero(usable).astype(np.int32)
+        pixel: np.ndarray = np.flatnonzero(usable).astype(np.int32)
         rays, origin = self._world_rays(view.camera), view.camera.T_world_camera[:3, 3]
         z = z[pixel]
         columns: list[np.ndarray] = []

@@ -119,12 +119,8 @@ def test_normals_are_those_of_the_shapes_and_face_the_camera(make_views: MakeVie
     # Every surface of the scene is perpendicular to an axis of the world; only at creases, where
     # neighbours lie on two surfaces, lies a normal in between.
     assert np.mean(np.abs(normals[known]).max(axis=1) > 0.999) > 0.94
-    table = (
-        known
-        & (np.abs(cloud.points_world[:, 2]) < 1e-4)
-        & (np.abs(cloud.points_world[:, :2]).max(axis=1) > 0.08)
-    )
-    np.testing.assert_allclose(normals[table], np.tile([0, 0, 1], (table.sum(), 1)), atol=1e-2)
+    table = known & (np.abs(cloud.points_world[:, 2]) < 1e-4)
+    assert np.mean(normals[table] @ [0, 0, 1] > 0.999) > 0.97
     eyes = np.array([v.camera.T_world_camera[:3, 3] for v in views])[cloud.view]
     assert (np.einsum("ij,ij->i", normals, eyes - cloud.points_world)[known] > 0).all()
 
