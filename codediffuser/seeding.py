@@ -27,6 +27,7 @@ class Stage(IntEnum):
     APPEARANCE = 11
     SENSOR = 12
     RECOVERY = 13
+    PERCEPTION = 14
 
 
 def seed_sequence(

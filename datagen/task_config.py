@@ -101,6 +101,9 @@ class ClusterConfig(Strict):
     """Smaller clusters are dropped."""
     min_share: float = Field(default=0.2, ge=0, le=1)
     """So are those with fewer points than this share of the median cluster's."""
+    vote_reach_m: float | None = Field(default=None, gt=0)
+    """Where features tell the middle of the instance that a point belongs to: votes this near to
+    one middle are votes for it. Below half the distance between the middles of two instances."""
 
 
 class LabelingConfig(Strict):

@@ -1,0 +1,204 @@
+"""Finds the instances of some categories in one set of views, by features alone.
+
+Each reading in the workspace takes the category of its most similar reference, or none. Readings of
+one category are then parted into instances: by the middles that they vote for where the backend
+tells them, else by clusters of the points themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from codediffuser.datagen.episode_format import Camera
+from codediffuser.datagen.task import Task
+from codediffuser.datagen.task_config import ClusterConfig
+from codediffuser.labeling.perception.builtin import Perceived
+from codediffuser.labeling.perception.cloud import CloudFuser, WorldCloud
+from codediffuser.labeling.perception.clustering import NOISE, cluster_config, cluster_points
+from codediffuser.labeling.perception.features import FeatureBackend, sample_map
+from codediffuser.labeling.perception.views import View, stack_views
+from codediffuser.labeling.perception.votes import gather_votes
+from codediffuser.pointcloud import farthest_point_indices
+
+BACKGROUND = "background"
+EVEN_POINTS = 8000
+"""Points that clusters without votes are looked for in."""
+"""Points this far apart are of one piece of an instance."""
+
+
+@runtime_checkable
+class VotingBackend(Protocol):
+    """A feature backend that also tells where the middle of each pixel's instance lies."""
+
+    def perceive(
+        self,
+        images: np.ndarray,
+        depth_m: np.ndarray | None,
+        cameras: Sequence[Camera] | None,
+    ) -> Perceived:
+        """Features and middles; arguments as for `FeatureBackend.maps`."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundInstance:
+    """One thing or place that features show."""
+
+    category: str
+    points_world: np.ndarray
+    """(N, 3) float32, metres, every reading of it."""
+    rgb: np.ndarray
+    """(N, 3) uint8, the colours of the points."""
+    middle_world: np.ndarray
+    """(3,) float64, metres: as voted, or the mean of the points."""
+    confidence: float
+    """Mean probability of the category over the points, in [0, 1]."""
+
+
+@dataclass(frozen=True, slots=True)
+class References:
+    """What features are compared with."""
+
+    vectors: Mapping[str, np.ndarray]
+    """Unit features (k, D) by category; those of `background` reject."""
+    min_cosine: float
+    """A less similar feature is of no category."""
+    scale: float = 16.0
+    """Of cosines in probabilities: those with which the backend was trained or calibrated."""
+
+
+def find_instances(
+    views: Sequence[View],
+    task: Task,
+    backend: FeatureBackend,
+    references: References,
+    categories: Sequence[str] | None = None,
+) -> tuple[FoundInstance, ...]:
+    """Find all instances that the views show in the task's workspace.
+
+    Args:
+        views: What the cameras see at one moment.
+        task: Gives the workspace and the sizes of its categories.
+        backend: Computes features.
+        references: What to look for; made with the same backend.
+        categories: What to look for; None is what the task picks and where it places.
+
+    Returns:
+        Instances by category, then in lexicographic order of where they are; none when nothing is
+        similar enough.
+
+    Raises:
+        ConfigError: The task's YAML does not say how large a category is.
+        ShapeError: The views do not fit together.
+    """
+    box = task.config.workspace
+    cloud = CloudFuser(box.low_m, box.high_m).fuse(views, color=True)
+    images, depth_m, cameras = stack_views(views)
+    middles = None
+    if isinstance(backend, VotingBackend):
+        perceived = backend.perceive(images, depth_m, cameras)
+        maps, middles = perceived.maps, _look_up(perceived.middles_world, cloud, views)
+    else:
+        maps = backend.maps(images, depth_m, cameras)
+    names, chance = _categories(_features(maps, cloud, views), references)
+    found = []
+    for category in categories or (task.pick_category, task.place_category):
+        mine = np.flatnonzero(names == category)
+        sizes = cluster_config(task.config.labeling.clusters, category)
+        instance = _part(
+            cloud.points_world[mine], None if middles is None else middles[mine], sizes
+        )
+        for number in range(instance.max(initial=-1) + 1):
+            chosen = mine[instance == number]
+            found.append(_instance(category, cloud, chosen, middles, chance))
+    return tuple(found)
+
+
+def _features(maps: np.ndarray, cloud: WorldCloud, views: Sequence[View]) -> np.ndarray:
+    """The feature (N, D) at each point's own pixel."""
+    features = np.zeros((len(cloud), maps.shape[-1]), dtype=np.float32)
+    for number, view in enumerate(views):
+        mine = cloud.view == number
+        row, column = np.divmod(cloud.pixel[mine], view.camera.width)
+        features[mine] = sample_map(
+            maps[number], np.column_stack([column, row]), view.rgb.shape[:2]
+        )
+    return features
+
+
+def _look_up(middles: np.ndarray, cloud: WorldCloud, views: Sequence[View]) -> np.ndarray:
+    """The vote (N, 3) of the cell that each point's pixel lies in; votes are not mixed."""
+    h, w = middles.shape[1:3]
+    found = np.zeros((len(cloud), 3), dtype=np.float32)
+    for number, view in enumerate(views):
+        mine = cloud.view == number
+        row, column = np.divmod(cloud.pixel[mine], view.camera.width)
+        i = (row * h + h // 2) // view.camera.height
+        j = (column * w + w // 2) // view.camera.width
+        found[mine] = middles[number, np.minimum(i, h - 1), np.minimum(j, w - 1)]
+    return found
+
+
+def _categories(features: np.ndarray, references: References) -> tuple[np.ndarray, np.ndarray]:
+    """Category (N,) str of each point, `background` for none, and its probability (N,)."""
+    names = list(references.vectors)
+    length = np.linalg.norm(features, axis=1, keepdims=True)
+    unit = features / np.maximum(length, 1e-9)
+    cosine = np.stack(
+        [
+            (unit @ np.atleast_2d(v).T.astype(np.float32)).max(axis=1)
+            for v in references.vectors.values()
+        ],
+        axis=1,
+    )
+    best = cosine.argmax(axis=1)
+    top = cosine.max(axis=1)
+    chance = 1 / np.exp(references.scale * (cosine - top[:, None])).sum(axis=1)
+    found = np.array(names)[best]
+    found[top < references.min_cosine] = BACKGROUND
+    return found, chance
+
+
+def _part(points: np.ndarray, middles: np.ndarray | None, sizes: ClusterConfig) -> np.ndarray:
+    """Instance (N,) of each point of one category, `NOISE` for none."""
+    if middles is not None and sizes.vote_reach_m is not None:
+        instance, _ = gather_votes(middles, sizes.vote_reach_m, sizes.min_points, sizes.min_share)
+        return instance
+    even = farthest_point_indices(points, EVEN_POINTS)
+    return _spread(points, even, cluster_points(points[even], sizes), sizes)
+
+
+def _spread(
+    points: np.ndarray, even: np.ndarray, instance: np.ndarray, sizes: ClusterConfig
+) -> np.ndarray:
+    """Give every point the instance of the nearest of the thinned ones."""
+    from scipy.spatial import cKDTree
+
+    full = np.full(len(points), NOISE, dtype=np.int64)
+    if (instance != NOISE).any():
+        known = even[instance != NOISE]
+        distance, nearest = cKDTree(points[known]).query(points)
+        near = distance <= sizes.eps_m
+        full[near] = instance[instance != NOISE][nearest[near]]
+    return full
+
+
+def _instance(
+    category: str,
+    cloud: WorldCloud,
+    chosen: np.ndarray,
+    middles: np.ndarray | None,
+    chance: np.ndarray,
+) -> FoundInstance:
+    points = cloud.points_world[chosen]
+    voted = points if middles is None else middles[chosen]
+    return FoundInstance(
+        category,
+        points,
+        cloud.rgb[chosen] if cloud.rgb is not None else np.zeros((len(chosen), 3), np.uint8),
+        np.median(voted, axis=0).astype(np.float64),
+        float(chance[chosen].mean()),
+    )
