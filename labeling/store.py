@@ -29,13 +29,10 @@ from codediffuser.errors import CodeDiffuserError, LabelError, StaleLabelError
 from codediffuser.files import atomic_path, remove_partials
 from codediffuser.labeling.label import ROLES, AttentionLabel, Provenance, Role
 from codediffuser.labeling.label_document import (
-    Flag,
     LabelEntry,
     LabelsDocument,
     ProvenanceEntry,
-    Review,
     Saving,
-    Verdict,
 )
 from codediffuser.pointcloud import check_points
 
@@ -160,7 +157,7 @@ def save_labels(
     entries = tuple(_to_entry(label) for label in ordered)
 
     def next_revision(old: LabelsDocument) -> LabelsDocument:
-        _expect(folder, old, expected_revision)
+        expect_revision(folder, old, expected_revision)
         pairs = zip(entries, old.labels, strict=True) if old.labels else ()
         if old.labels and all(new.says_the_same(was) for new, was in pairs):
             return old
@@ -170,45 +167,6 @@ def save_labels(
     new = {points_sha256(label.points_world): label.points_world for label in ordered}
     change_document(folder, next_revision, new)
     return load_labels(folder)
-
-
-def add_flag(folder: Path, reason: str, *, by: str, at: str) -> LabelsDocument:
-    """Note that something is wrong with an episode, labelled or not."""
-    flag = Flag(reason=reason, by=by, at=at)
-    return change_document(
-        folder, lambda old: old.model_copy(update={"flags": (*old.flags, flag)})
-    )  # fmt: skip
-
-
-def withdraw_flags(folder: Path, *, by: str, at: str) -> LabelsDocument:
-    """Withdraw every open flag of an episode; they stay on record."""
-    gone = {"withdrawn_by": by, "withdrawn_at": at}
-
-    def withdraw(old: LabelsDocument) -> LabelsDocument:
-        flags = tuple(f.model_copy(update=gone) if f.open else f for f in old.flags)
-        return old.model_copy(update={"flags": flags})
-
-    return change_document(folder, withdraw)
-
-
-def add_review(
-    folder: Path, verdict: Verdict, comment: str, *, by: str, at: str, expected_revision: int
-) -> LabelsDocument:
-    """Accept or reject the revision that the reviewer has seen.
-
-    Raises:
-        StaleLabelError: Another revision is there by now.
-        LabelError: There are no labels to judge, or they are damaged.
-    """
-
-    def judge(old: LabelsDocument) -> LabelsDocument:
-        _expect(folder, old, expected_revision)
-        if old.revision == 0:
-            raise LabelError(f"{folder}: there are no labels to review; {REMEDY}")
-        review = Review(revision=old.revision, verdict=verdict, comment=comment, by=by, at=at)
-        return old.model_copy(update={"reviews": (*old.reviews, review)})
-
-    return change_document(folder, judge)
 
 
 def change_document(
@@ -282,7 +240,17 @@ def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez(stream, **ordered)
 
 
-def _expect(folder: Path, found: LabelsDocument, expected_revision: int | None) -> None:
+def expect_revision(folder: Path, found: LabelsDocument, expected_revision: int | None) -> None:
+    """Notice another writer.
+
+    Args:
+        folder: Episode folder, for the message.
+        found: What is there.
+        expected_revision: What the caller has seen; None takes whatever is there.
+
+    Raises:
+        StaleLabelError: Another revision is there.
+    """
     if expected_revision is None or expected_revision == found.revision:
         return
     by = f" by {found.saved.by}" if found.saved else ""

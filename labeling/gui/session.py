@@ -30,13 +30,8 @@ from codediffuser.labeling.index import Filter, IndexRow
 from codediffuser.labeling.instances import SelectableInstance
 from codediffuser.labeling.label import Provenance, utc_now
 from codediffuser.labeling.label_document import LabelsDocument, Saving, Verdict
-from codediffuser.labeling.store import (
-    add_flag,
-    add_review,
-    load_document,
-    save_labels,
-    withdraw_flags,
-)
+from codediffuser.labeling.marks import add_flag, add_review, withdraw_flags
+from codediffuser.labeling.store import load_document, save_labels
 
 IDLE_S = 60.0
 """A longer pause between two actions counts as that much work."""

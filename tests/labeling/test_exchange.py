@@ -14,7 +14,8 @@ from codediffuser.errors import ConfigError, SchemaVersionError
 from codediffuser.labeling.exchange import export_labels, import_labels
 from codediffuser.labeling.label import AttentionLabel, Provenance
 from codediffuser.labeling.label_document import Saving
-from codediffuser.labeling.store import LABELS, POINTS, add_flag, load_labels, save_labels
+from codediffuser.labeling.marks import add_flag
+from codediffuser.labeling.store import LABELS, POINTS, load_labels, save_labels
 
 BY = Provenance(source="human", labeler="ada", tool_version="0")
 SAVED = Saving(by="ada", at="2026-01-02T03:04:05Z", seconds=3.5)

@@ -12,7 +12,8 @@ import pytest
 from codediffuser.labeling.index import INDEX, LABELING, load_index
 from codediffuser.labeling.label import AttentionLabel, Provenance
 from codediffuser.labeling.label_document import Saving
-from codediffuser.labeling.store import LABELS, add_flag, add_review, load_document, save_labels
+from codediffuser.labeling.marks import add_flag, add_review
+from codediffuser.labeling.store import LABELS, load_document, save_labels
 
 BY = Provenance(source="human", labeler="ada", tool_version="0")
 AT = "2026-01-02T03:04:05Z"
