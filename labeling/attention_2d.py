@@ -13,7 +13,6 @@ import numpy as np
 from codediffuser.datagen.cameras import project
 from codediffuser.datagen.episode_format import Camera
 from codediffuser.errors import ShapeError
-from codediffuser.labeling.attention import AttentionField, Poses
 from codediffuser.labeling.label import ROLES
 from codediffuser.pointcloud import check_points
 
@@ -50,27 +49,13 @@ def attention_mask(
     Raises:
         ShapeError: The points or the depth do not have the shape above.
     """
-    check_points(points_world, "points_world")
-    shape = (camera.height, camera.width)
-    if depth_m is not None and depth_m.shape != shape:
-        raise ShapeError(f"depth_m: expected {shape} as the camera says, got {depth_m.shape}")
-    mask = np.zeros(shape, dtype=np.uint8)
-    uv, z = project(points_world, camera.K, camera.T_world_camera)
-    # Rounding first would pull points from up to half a pixel outside; far ones overflow integers.
-    with np.errstate(invalid="ignore"):
-        inside = (z > 0) & (uv >= -0.5).all(axis=1) & (uv < np.array(shape[::-1]) - 0.5).all(axis=1)
-    column, row = np.floor(uv[inside] + 0.5).astype(np.intp).T
-    if depth_m is not None:
-        reading = depth_m[row, column]
-        visible = (reading <= 0) | (reading >= z[inside] - tolerance_m)
-        column, row = column[visible], row[visible]
-    mask[row, column] = 1
-    return _dilate(mask, dilation_px).astype(bool)
+    row, column, _ = _visible(points_world, camera, depth_m, tolerance_m)
+    return _marked(row, column, (camera.height, camera.width), dilation_px)
 
 
 def role_masks(
-    field: AttentionField,
-    T_world_now: Poses,
+    points_world: np.ndarray,
+    attention: np.ndarray,
     camera: Camera,
     depth_m: np.ndarray | None = None,
     *,
@@ -80,8 +65,9 @@ def role_masks(
     """One mask per role of an episode's attention at one moment, for one camera.
 
     Args:
-        field: The episode's attention.
-        T_world_now: Poses now of the objects that `field` follows.
+        points_world: (M, 3) float, metres: labelled points where they are at that moment, see
+            `AttentionField.carried`.
+        attention: (M, 2) float, one channel per role.
         camera: Whose picture.
         depth_m: See `attention_mask`.
         dilation_px: See `attention_mask`.
@@ -91,17 +77,44 @@ def role_masks(
         masks: (2, H, W) bool in the order of `ROLES`.
 
     Raises:
-        LabelError: A followed object has no pose now.
         ShapeError: The depth does not fit the camera.
     """
-    points, channels = field.carried(T_world_now)
+    row, column, seen = _visible(points_world, camera, depth_m, tolerance_m)
+    shape, attended = (camera.height, camera.width), attention[seen] > 0
     return np.stack([
-        attention_mask(
-            points[channels[:, role] > 0], camera, depth_m,
-            dilation_px=dilation_px, tolerance_m=tolerance_m,
-        )
+        _marked(row[attended[:, role]], column[attended[:, role]], shape, dilation_px)
         for role in range(len(ROLES))
     ])  # fmt: skip
+
+
+def _visible(
+    points_world: np.ndarray, camera: Camera, depth_m: np.ndarray | None, tolerance_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row and column of every visible point, and which of the points those are."""
+    check_points(points_world, "points_world")
+    shape = (camera.height, camera.width)
+    if depth_m is not None and depth_m.shape != shape:
+        raise ShapeError(f"depth_m: expected {shape} as the camera says, got {depth_m.shape}")
+    uv, z = project(points_world, camera.K, camera.T_world_camera)
+    # Rounding first would pull points from up to half a pixel outside; far ones overflow integers.
+    with np.errstate(invalid="ignore"):
+        inside = (z > 0) & (uv >= -0.5).all(axis=1) & (uv < np.array(shape[::-1]) - 0.5).all(axis=1)
+    column, row = np.floor(uv[inside] + 0.5).astype(np.intp).T
+    seen = np.flatnonzero(inside)
+    if depth_m is None:
+        return row, column, seen
+    reading = depth_m[row, column]
+    visible = (reading <= 0) | (reading >= z[inside] - tolerance_m)
+    return row[visible], column[visible], seen[visible]
+
+
+def _marked(
+    row: np.ndarray, column: np.ndarray, shape: tuple[int, int], dilation_px: int
+) -> np.ndarray:
+    """(H, W) bool, true within a disc around each of these pixels."""
+    mask = np.zeros(shape, dtype=np.uint8)
+    mask[row, column] = 1
+    return _dilate(mask, dilation_px).view(bool)
 
 
 def _dilate(mask: np.ndarray, radius_px: int) -> np.ndarray:
@@ -109,7 +122,12 @@ def _dilate(mask: np.ndarray, radius_px: int) -> np.ndarray:
         return mask
     import cv2
 
-    return np.asarray(cv2.dilate(mask, _disc(radius_px)))
+    # Only where something is marked: a label is small on a picture.
+    x, y, width, height = cv2.boundingRect(mask)
+    rows = slice(max(y - radius_px, 0), y + height + radius_px)
+    columns = slice(max(x - radius_px, 0), x + width + radius_px)
+    mask[rows, columns] = cv2.dilate(mask[rows, columns], _disc(radius_px))
+    return mask
 
 
 @functools.cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,6 +43,7 @@ class Source:
         self.cameras = self.manifest.cameras
         self._dilation_px = dilation_px
         self._calibrations: dict[str, tuple[tuple[np.ndarray, int, int], np.ndarray]] = {}
+        self._carried_at: tuple[int, Any] = (-1, None)
         self.labels = load_labels(folder).labels if labelled else ()
 
     def camera_at(self, name: str, k: int) -> Camera:
@@ -67,12 +69,17 @@ class Source:
     def masks(self, frame: Frame, camera: str) -> np.ndarray:
         """Attention on the picture of a calibrated camera, (2, H, W) bool pick before place."""
         return role_masks(
-            self._field,
-            self._motion.at(frame.index),
+            *self._carried(frame.index),
             self.camera_at(camera, frame.index),
             frame.depth_m.get(camera),
             dilation_px=self._dilation_px,
         )
+
+    def _carried(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Labelled points and their attention at frame k; all cameras of a frame share them."""
+        if self._carried_at[0] != k:
+            self._carried_at = k, self._field.carried(self._motion.at(k))
+        return self._carried_at[1]
 
     @functools.cached_property
     def _motion(self) -> RecordedMotion:

@@ -76,7 +76,8 @@ def test_masks_follow_the_carried_object(
     name, camera = next(iter(episode.cameras.items()))
     centres = []
     for frame in episode.frames([name], color=False):
-        pick, place = role_masks(field, motion.at(frame.index), camera, frame.depth_m[name])
+        carried = field.carried(motion.at(frame.index))
+        pick, place = role_masks(*carried, camera, frame.depth_m[name])
         assert pick.any() and place.any()
         assert pick.mean() < 0.2 and place.mean() < 0.2
         centres.append(np.argwhere(pick).mean(axis=0))
