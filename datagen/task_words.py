@@ -23,8 +23,8 @@ class WordsConfig(Strict):
     """Nouns of a task, and by what its places are told apart."""
 
     nouns: dict[str, tuple[str, ...]] = Field(default_factory=dict)
-    """Category to its words, the plural last. A category that is left out is called by its own name
-    and that with an s."""
+    """Category to its words, first the usual one, the plurals last. A category that is left out is
+    called by its own name and that with an s."""
     holder: str | None = None
     """Category of the one thing that all places belong to: `crate`. What lies within its outline
     takes a place already and does not wait to be picked."""

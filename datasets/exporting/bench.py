@@ -189,7 +189,7 @@ def _rows(source: Source, keys: set[str]) -> Any:
     episode = source.episode
     texts = {
         LABELS: labels_json(source.folder),
-        PROGRAM: program_text(source.manifest.instruction),
+        PROGRAM: program_text(source.manifest.instruction, source.manifest.task),
         EPISODE_ID: episode.id,
     }
     state, actions = episode.state, episode.actions

@@ -152,6 +152,7 @@ def _finish(
     if LABELS in own:
         columns[LABELS] = [labels_json(source.folder)] * length
     if PROGRAM in own:
-        columns[PROGRAM] = [program_text(source.manifest.instruction)] * length
+        manifest = source.manifest
+        columns[PROGRAM] = [program_text(manifest.instruction, manifest.task)] * length
     write_columns(arrow_table(own, columns, length), folder / COLUMNS)
     stats.save(folder / STATS)

@@ -11,7 +11,7 @@ import numpy as np
 
 from codediffuser.datagen.episode import Episode, Frame
 from codediffuser.datagen.episode_format import Camera
-from codediffuser.errors import InstructionError
+from codediffuser.errors import InstructionError, NotRegisteredError
 from codediffuser.labeling.attention import RADIUS_M, AttentionField
 from codediffuser.labeling.attention_2d import DILATION_PX, role_masks
 from codediffuser.labeling.motion import RecordedMotion
@@ -98,11 +98,12 @@ def labels_json(folder: Path) -> str:
     return json.dumps(document, sort_keys=True, separators=(",", ":"))
 
 
-def program_text(instruction: str) -> str:
+def program_text(instruction: str, task: str) -> str:
     """The program that the built-in composer writes, empty for a sentence that it refuses."""
     from codediffuser.labeling.language.composer import compose_program
+    from codediffuser.labeling.language.vocabulary import vocabulary_of
 
     try:
-        return compose_program(instruction)
-    except InstructionError:
+        return compose_program(instruction, vocabulary=vocabulary_of(task))
+    except (InstructionError, NotRegisteredError):
         return ""

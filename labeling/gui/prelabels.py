@@ -13,6 +13,7 @@ from codediffuser.labeling.language import (
     Instance,
     InstanceProvider,
     ListedInstances,
+    Vocabulary,
     ground,
     simulated_provider,
 )
@@ -67,6 +68,7 @@ def _provider(scene: EpisodeScene) -> InstanceProvider:
         {need.role: need.category for need in scene.needs},
         categories=[need.category for need in scene.needs],
         directions=Directions(observer.right, observer.front),
+        vocabulary=Vocabulary.of(scene.task),
     )
 
 

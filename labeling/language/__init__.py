@@ -31,9 +31,10 @@ The layers, from the outside in:
 6. *Answer* (`grounding`): [pick, place], each an instance of the right category that the program
    was given. None for one of them means that nothing fits: `InstructionError`.
 
-The words: `lexicon` (vocabulary), `phrases` and `grammar` (meaning of an instruction, `meaning`),
-`composer` (meaning -> program). Directions are those of an observer at the robot: right = +x,
-left = -x, front/near = -y, back/far = +y, unless the provider says otherwise.
+The words: `vocabulary` (a task's nouns, from its YAML), `lexicon` and `tokens` (all other words),
+`phrases` and `grammar` (meaning of an instruction, `meaning`), `composer` (meaning -> program).
+Directions are those of an observer at the robot: right = +x, left = -x, front/near = -y,
+back/far = +y, unless the provider says otherwise.
 """
 
 from codediffuser.labeling.language.grounding import ApiCall, Attempt, Grounding, ground
@@ -46,6 +47,7 @@ from codediffuser.labeling.language.instances import (
 from codediffuser.labeling.language.models import LANGUAGE_MODELS, LanguageModel, Prompt, get_model
 from codediffuser.labeling.language.sandbox import Limits
 from codediffuser.labeling.language.simulated import simulated_provider
+from codediffuser.labeling.language.vocabulary import Vocabulary
 
 __all__ = [
     "LANGUAGE_MODELS",
@@ -59,6 +61,7 @@ __all__ = [
     "Limits",
     "ListedInstances",
     "Prompt",
+    "Vocabulary",
     "get_model",
     "ground",
     "simulated_provider",

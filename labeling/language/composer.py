@@ -7,17 +7,16 @@ pass the same checker and run in the same sandbox as any other program.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Literal
 
 from codediffuser.errors import ConfigError, InstructionError
-from codediffuser.labeling.language.grammar import CATEGORIES, parse_instruction
+from codediffuser.labeling.language.detection import variable
+from codediffuser.labeling.language.grammar import parse_instruction
 from codediffuser.labeling.language.instances import Directions
-from codediffuser.labeling.language.meaning import Band, Description, Distance, Request, Side
-
-PARTS = {0: 4, 1: 3}
-"""World axis to the number of bands that the crate has along it: 4 columns in x, 3 rows in y."""
+from codediffuser.labeling.language.meaning import Band, Description, Distance, Level, Request, Side
+from codediffuser.labeling.language.neighbours import relation_lines
+from codediffuser.labeling.language.vocabulary import Vocabulary, vocabulary_of
 
 AXIS_NAMES = ("x", "y")
 
@@ -25,107 +24,112 @@ _CENTER = 'np.mean(obj["pcd"], axis=0)'
 
 
 def compose_program(
-    instruction: str, categories: Sequence[str] = CATEGORIES, directions: Directions | None = None
+    instruction: str,
+    categories: Sequence[str] | None = None,
+    directions: Directions | None = None,
+    vocabulary: Vocabulary | None = None,
 ) -> str:
     """Write the program of an instruction.
+
+    Args:
+        instruction: What a person says.
+        categories: Those of the scene; None takes all that the vocabulary speaks of.
+        directions: Whose left and right the words mean.
+        vocabulary: The task's words; None takes those of `pack_battery`.
 
     Raises:
         InstructionError: The instruction is not understood, or speaks of what the scene lacks.
         ConfigError: The observer does not look along a world axis.
     """
-    missing = [c for c in CATEGORIES if c not in categories]
+    words = vocabulary or vocabulary_of()
+    present = words.categories if categories is None else tuple(categories)
+    missing = [c for c in words.needed if c not in present]
     if missing:
         raise InstructionError(
-            f"the built-in composer speaks of {', '.join(CATEGORIES)}; this scene has no category "
-            f"{', '.join(missing)}; use a language model for other tasks"
+            f"the built-in composer speaks of {', '.join(words.needed)}; this scene has no "
+            f"category {', '.join(missing)}; use a language model for other tasks"
         )
-    return _Writer(parse_instruction(instruction), directions or Directions()).program()
-
-
-def compose_detection(phrase: str, categories: Sequence[str]) -> str:
-    """Write the program that finds what a phrase names: all of a category, or those that look so.
-
-    Raises:
-        InstructionError: The phrase names none of the categories.
-    """
-    words = re.findall(r"[\w']+", phrase.lower())
-    named = [c for c in categories if {c, f"{c}s", f"{c[:-1]}ies"} & set(words)]
-    if len(named) != 1:
-        raise InstructionError(
-            f"the phrase {phrase!r} should name one category of {', '.join(categories)}"
-        )
-    category = named[0]
-    lines = [f'{category}_list = self.get_obj("{category}")']
-    if len(words) == 1:
-        return "\n".join([*lines, f"output_var = {category}_list", ""])
-    quoted = " ".join(words)
-    lines += [
-        f'indices = self.find_instance_in_category(instance="{quoted}", category="{category}")',
-        f"output_var = [{category}_list[i] for i in indices]",
-        "",
-    ]
-    return "\n".join(lines)
+    request = parse_instruction(instruction, words)
+    return _Writer(request, directions or Directions(), words, present).program()
 
 
 class _Writer:
     """Collects the lines of one program."""
 
-    def __init__(self, request: Request, directions: Directions) -> None:
+    def __init__(
+        self,
+        request: Request,
+        directions: Directions,
+        words: Vocabulary,
+        categories: Sequence[str],
+    ) -> None:
         self._request = request
         self._right = _axis(directions.right)
         self._front = _axis(directions.front)
+        self._pick, self._place = words.pick, words.place
+        self._words = words
+        self._holder = words.holder if words.holder in categories else None
         self._lines: list[str] = []
 
     def program(self) -> str:
         """The whole text."""
-        request = self._request
-        self._crate()
-        self._batteries()
+        request, pick, place = self._request, self._pick, self._place
+        if self._holder is not None:
+            self._extents(self._holder)
+        self._waiting()
         if any(isinstance(_reference(d), Description) for d in (request.place, *request.excluded)):
-            self._say("every_battery = battery_list")
-        self._slots()
+            self._say(f"every_{pick} = {pick}_list")
+        self._say(f"# Free {self._words.plural(place)}", f'{place}_list = self.detect("{place}")')
         for described in request.excluded:
-            if described.category == "battery":
+            if described.category == pick:
                 self._leave_out(described)
         self._say(f"# Determine target object: {request.pick.said}")
-        self._choose(request.pick, "battery", self._narrow(request.pick))
+        self._choose(request.pick, pick, self._narrow(request.pick))
         for described in request.excluded:
-            if described.category == "slot":
+            if described.category == place:
                 self._leave_out(described)
         self._say(f"# Determine target place: {request.place.said}")
-        self._choose(request.place, "slot", self._narrow(request.place))
-        self._say("output_var = [battery, slot]")
+        self._choose(request.place, place, self._narrow(request.place))
+        self._say(f"output_var = [{pick}, {place}]")
         return "\n".join(self._lines) + "\n"
 
     def _say(self, *lines: str) -> None:
         self._lines += lines
 
-    def _crate(self) -> None:
+    def _extents(self, holder: str) -> None:
+        why = ": rows and columns are parts of them" if self._words.grid else ""
+        name = variable(holder)
         self._say(
-            "# Extents of the crate: rows and columns are parts of them",
-            'crate = self.detect("crate")[0]["pcd"]',
-            "x_low, y_low, z_low = np.min(crate, axis=0)",
-            "x_high, y_high, z_high = np.max(crate, axis=0)",
+            f"# Extents of the {holder}{why}",
+            f'{name} = self.detect("{holder}")[0]["pcd"]',
+            f"x_low, y_low, z_low = np.min({name}, axis=0)",
+            f"x_high, y_high, z_high = np.max({name}, axis=0)",
         )
 
-    def _batteries(self) -> None:
+    def _waiting(self) -> None:
+        """The list of what can be picked, and for neighbours that of what stands in the holder."""
+        pick, every = self._pick, self._words.plural(self._pick)
+        if self._holder is None:
+            self._say(f"# {every.capitalize()}", f'{pick}_list = self.detect("{pick}")')
+            return
+        packed = "stand there" if self._words.neighbours else "are packed"
         self._say(
-            "# Batteries outside the crate: those inside are packed already",
-            "battery_list = []",
-            'for obj in self.detect("battery"):',
+            f"# {every.capitalize()} outside the {self._holder}: those inside {packed} already",
+            f"{pick}_list = []",
+            *(["row_list = []"] if self._words.neighbours else []),
+            f'for obj in self.detect("{pick}"):',
             f"    x, y, z = {_CENTER}",
             "    if x < x_low or x > x_high or y < y_low or y > y_high:",
-            "        battery_list.append(obj)",
+            f"        {pick}_list.append(obj)",
         )
-
-    def _slots(self) -> None:
-        self._say("# Free slots", 'slot_list = self.detect("slot")')
+        if self._words.neighbours:
+            self._say("    else:", "        row_list.append(obj)")
 
     def _leave_out(self, described: Description) -> None:
         """Take away from the list what the words say should stay."""
         if described.is_plain:
             return  # "keep one on the table" is true of any choice.
-        things = f"{described.category}_list"
+        things = f"{variable(described.category)}_list"
         self._say(f"# Leave out: {described.said}")
         matching = self._narrow(described, "kept_list")
         if described.sides or described.distance:
@@ -137,15 +141,25 @@ class _Writer:
     def _narrow(
         self, described: Description, name: str | None = None, source: str | None = None
     ) -> str:
-        """Write the list of what has the right looks and lies in the right bands; its name."""
+        """Write the list of what looks right and lies where the words say; its name."""
         source = source or f"{described.category}_list"
         name = name or source
         for look in described.looks:
-            phrase = f"{look} {described.category}"
+            phrase, seen = f"{look} {described.category}", f"{variable(look)}_list"
             self._say(
-                f'{look}_list = self.detect("{phrase}")',
-                f"{name} = [obj for obj in {source} if obj in {look}_list]",
+                f'{seen} = self.detect("{phrase}")',
+                f"{name} = [obj for obj in {source} if obj in {seen}]",
             )
+            source = name
+        if described.level is not None:
+            self._say(*self._level_lines(described.level, name, source))
+            source = name
+        if described.relation is not None:
+            anchors = [
+                self._narrow(anchor, f"anchor_{i}_list", "row_list")
+                for i, anchor in enumerate(described.relation.anchors)
+            ]
+            self._say(*relation_lines(described.relation, anchors, name, source, self._right))
             source = name
         for band in described.bands:
             test = self._band_test(band, f"{band.axis}_edge")
@@ -153,11 +167,25 @@ class _Writer:
             source = name
         return source
 
+    def _level_lines(self, level: Level, name: str, source: str) -> list[str]:
+        """Keep the places of a level: at the top, below it, or at the bottom."""
+        margin, height = self._words.level_m, f"{_CENTER}[2]"
+        test = {"top": f"{height} > top - {margin}", "middle": f"{height} < top - {margin}"}.get(
+            level, f"{height} < bottom + {margin}"
+        )
+        extreme = "bottom = np.min" if level == "bottom" else "top = np.max"
+        return [
+            f"{extreme}([{height} for obj in {source}])",
+            f"{name} = [obj for obj in {source} if {test}]",
+        ]
+
     def _band_test(self, band: Band, edge: str) -> str:
         """Write the edges of a band; return the test of an object's middle against them."""
         axis, sign = self._front if band.axis == "row" else self._right
         low, high = f"{AXIS_NAMES[axis]}_low", f"{AXIS_NAMES[axis]}_high"
-        width, value = f"({high} - {low}) / {PARTS[axis]}", f"{_CENTER}[{axis}]"
+        if self._words.grid is None:
+            raise InstructionError(f"there are no rows and columns of {self._place}s in this task")
+        width, value = f"({high} - {low}) / {self._words.grid[axis]}", f"{_CENTER}[{axis}]"
         if band.side == "middle":
             self._say(f"{edge}_low = {low} + {width}", f"{edge}_high = {high} - {width}")
             return f"{edge}_low < {value} < {edge}_high"
@@ -172,11 +200,11 @@ class _Writer:
         distance = described.distance
         needed = [f"len({things}) > 0"]
         if distance is not None and isinstance(distance.reference, Description):
-            others = self._narrow(distance.reference, "reference_list", "every_battery")
+            others = self._narrow(distance.reference, "reference_list", f"every_{self._pick}")
             self._choose(distance.reference, "reference", others)
             needed.insert(0, "reference is not None")
         elif distance is not None and distance.reference == "picked":
-            needed.insert(0, "battery is not None")
+            needed.insert(0, f"{self._pick} is not None")
         self._say(f"{name} = None", f"if {' and '.join(needed)}:")
         lines = self._score(described, things)
         if lines is None:
@@ -201,9 +229,11 @@ class _Writer:
         if distance.reference == "robot":
             side: Side = "front" if distance.kind == "nearest" else "back"
             return self._extreme((side,), things)
+        if distance.reference == "holder" and self._holder is None:
+            raise InstructionError(f"this scene has no {self._words.holder} to measure from")
         origin = {
-            "picked": 'np.mean(battery["pcd"], axis=0)',
-            "crate": "np.mean(crate, axis=0)",
+            "picked": f'np.mean({self._pick}["pcd"], axis=0)',
+            "holder": f"np.mean({variable(self._holder or '')}, axis=0)",
         }.get(str(distance.reference), 'np.mean(reference["pcd"], axis=0)')
         best = "argmin" if distance.kind == "nearest" else "argmax"
         return [
@@ -214,10 +244,12 @@ class _Writer:
 
     def _side_score(self, described: Description, things: str) -> list[str]:
         sides = described.sides
+        if {"top", "bottom"} & set(sides):
+            raise InstructionError(f"'{described.said}': nothing lies higher than the rest here")
         clash = {"left", "right"} <= set(sides) or {"front", "back"} <= set(sides)
         if clash or len(sides) > 2 or (len(sides) == 2 and "middle" in sides):
             raise InstructionError(f"'{described.said}' cannot be {' and '.join(sides)} at once")
-        if sides == ("middle",) and described.category == "slot":
+        if sides == ("middle",) and described.category == self._place and self._words.grid:
             return [
                 "middle = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2])",
                 f"distances = [np.linalg.norm({_CENTER}[:2] - middle) for obj in {things}]",

@@ -151,7 +151,14 @@ class _Grounder:
 
     def _prompt(self, kind: Any, text: str) -> Prompt:
         provider = self.provider
-        return Prompt(kind, text, tuple(provider.categories), provider.roles, provider.directions)
+        return Prompt(
+            kind,
+            text,
+            tuple(provider.categories),
+            provider.roles,
+            provider.directions,
+            provider.vocabulary,
+        )
 
     def _solve(
         self, prompt: Prompt, judge: Callable[[CheckedProgram], T]

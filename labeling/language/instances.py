@@ -14,6 +14,7 @@ import numpy as np
 
 from codediffuser.errors import InstructionError, ShapeError
 from codediffuser.labeling.label import Role
+from codediffuser.labeling.language.vocabulary import Vocabulary
 from codediffuser.registry import unknown_name
 
 SMALL_WORDS = frozenset({"a", "an", "any", "some", "the", "that", "this", "one", "ones"})
@@ -39,6 +40,8 @@ class Instance:
     """What a person would call it: `green battery`."""
     points_world: np.ndarray
     """(N, 3) float32, metres, N >= 1."""
+    label: str | None = None
+    """What is written on it: the title of a book."""
 
     def __post_init__(self) -> None:
         points = np.ascontiguousarray(self.points_world, dtype=np.float32)
@@ -65,6 +68,10 @@ class InstanceProvider(Protocol):
     def directions(self) -> Directions:
         """Whose left and right the words mean."""
 
+    @property
+    def vocabulary(self) -> Vocabulary | None:
+        """Words of the task, for the built-in composer; None for those of `pack_battery`."""
+
     def instances(self, category: str) -> Sequence[Instance]:
         """All instances of a category, always in the same order."""
 
@@ -73,7 +80,7 @@ class InstanceProvider(Protocol):
 
 
 class ListedInstances:
-    """A provider over instances that are known already; looks are judged by their names.
+    """A provider over instances that are known already; looks are judged by names and labels.
 
     Args:
         instances: In the order in which programs see them, ids unique.
@@ -81,6 +88,7 @@ class ListedInstances:
         categories: Words that programs may ask for; None takes those of the instances. A category
             may be listed that has no instance.
         directions: Whose left and right the words mean.
+        vocabulary: Words of the task; None for those of `pack_battery`.
     """
 
     def __init__(
@@ -90,12 +98,14 @@ class ListedInstances:
         *,
         categories: Sequence[str] | None = None,
         directions: Directions | None = None,
+        vocabulary: Vocabulary | None = None,
     ) -> None:
         self._instances = tuple(instances)
         self.roles: Mapping[Role, str] = dict(roles)
         found = categories if categories is not None else [i.category for i in instances]
         self.categories = tuple(dict.fromkeys(found))
         self.directions = directions or Directions()
+        self.vocabulary = vocabulary
         ids = [instance.id for instance in self._instances]
         if len(set(ids)) != len(ids):
             raise ValueError(f"instance ids are used twice: {sorted(ids)}")
@@ -111,12 +121,12 @@ class ListedInstances:
         return tuple(i for i in self._instances if i.category == category)
 
     def find_instance_in_category(self, phrase: str, category: str) -> list[int]:
-        """Indices of the instances whose name holds every telling word of the phrase."""
+        """Indices of the instances whose name, or label, holds every telling word of the phrase."""
         wanted = _words(phrase) - SMALL_WORDS - _words(category)
         return [
             index
             for index, instance in enumerate(self.instances(category))
-            if wanted <= _words(instance.name)
+            if wanted <= _words(instance.name) or wanted <= _words(instance.label or "")
         ]
 
 
@@ -132,7 +142,8 @@ def describe_instances(provider: InstanceProvider) -> str:
 
 def _describe(instance: Instance) -> str:
     x, y = instance.points_world.mean(axis=0)[:2]
-    name = f"{instance.id}, {instance.name}," if instance.name != instance.category else instance.id
+    called = f"{instance.name} {instance.label or ''}".strip()
+    name = f"{instance.id}, {called}," if called != instance.category else instance.id
     return f"{name} at x {x:.2f} y {y:.2f}"
 
 

@@ -16,9 +16,11 @@ from codediffuser.errors import ProgramError
 from codediffuser.files import sha256_json
 from codediffuser.labeling.label import Role
 from codediffuser.labeling.language.checker import RESULT, ProgramKind
-from codediffuser.labeling.language.composer import compose_detection, compose_program
+from codediffuser.labeling.language.composer import compose_program
+from codediffuser.labeling.language.detection import compose_detection
 from codediffuser.labeling.language.grammar import parse_instruction
 from codediffuser.labeling.language.instances import Directions
+from codediffuser.labeling.language.vocabulary import Vocabulary
 from codediffuser.registry import Registry
 
 _FENCE = re.compile(r"```[ \t]*([\w+-]*)[^\n]*\n(.*?)(?:```|\Z)", re.DOTALL)
@@ -43,6 +45,8 @@ class Prompt:
     roles: Mapping[Role, str] = field(default_factory=lambda: {"pick": "battery", "place": "slot"})
     """What `output_var` of an instruction's program holds, in the order pick, place."""
     directions: Directions = field(default_factory=Directions)
+    vocabulary: Vocabulary | None = None
+    """Words of the task, for the built-in composer; language models know words already."""
     rejected: tuple[Rejected, ...] = ()
     """Earlier replies to the same question, oldest first."""
 
@@ -51,7 +55,7 @@ class Prompt:
         return replace(self, rejected=(*self.rejected, Rejected(reply, error)))
 
     def as_json(self) -> dict[str, Any]:
-        """Everything that the reply depends on."""
+        """Everything that a language model's reply depends on."""
         return {
             "kind": self.kind,
             "text": self.text,
@@ -118,11 +122,11 @@ class BuiltinComposer(LanguageModel):
         """The composed program."""
         if prompt.kind == "detect":
             return compose_detection(prompt.text, prompt.categories)
-        return compose_program(prompt.text, prompt.categories, prompt.directions)
+        return compose_program(prompt.text, prompt.categories, prompt.directions, prompt.vocabulary)
 
     def looked_for(self, prompt: Prompt, role: Role) -> str:
         """The words of the instruction for that role."""
-        request = parse_instruction(prompt.text)
+        request = parse_instruction(prompt.text, prompt.vocabulary)
         return f"'{request.pick.said if role == 'pick' else request.place.said}'"
 
 

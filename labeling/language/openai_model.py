@@ -6,7 +6,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from codediffuser.errors import LanguageModelError, SetupError
-from codediffuser.labeling.language.composer import compose_detection
+from codediffuser.labeling.language.detection import compose_detection
 from codediffuser.labeling.language.models import LANGUAGE_MODELS, LanguageModel, Prompt
 from codediffuser.labeling.language.prompts import messages
 

@@ -1,42 +1,22 @@
 """Noun phrases: `the left-most battery outside the crate`, `slot on the back row`, `another one`.
 
     phrase    = [determiner] {adjective} [head] {tail}
-    head      = battery | slot | one | row | column | side | crate | table | robot | it
+    head      = battery | slot | TITLE | one | row | column | side | crate | table | robot | it
     adjective = side | distance | colour | other | free ...
-    tail      = on/in/of the <side> row/column | on the <side> [side] [of the table/crate]
-              | in/of the crate | outside the crate | on the table
-              | <distance> [to/from <reference>] | that is ...
 
-A tail is taken only where it can say something of the head; else it belongs to the sentence, as in
-`put the battery | in the left column`.
+Battery, slot and crate stand for the nouns of the task. Tails are read in `tails.py`.
 """
 
 from __future__ import annotations
 
 from codediffuser.errors import InstructionError
-from codediffuser.labeling.language.lexicon import (
-    CAN_SAY,
-    DISTANCES,
-    SIDES,
-    Kind,
-    Token,
-    unknown_word,
-)
+from codediffuser.labeling.language.lexicon import DISTANCES, SIDES, Kind
 from codediffuser.labeling.language.meaning import Band, Side
-from codediffuser.labeling.language.noun_phrase import Head, Phrase
+from codediffuser.labeling.language.noun_phrase import HEADS, STARTS, Phrase
+from codediffuser.labeling.language.relations import RelationReader
+from codediffuser.labeling.language.tails import TailReader
+from codediffuser.labeling.language.tokens import Lexicon, Token
 
-STARTS = frozenset({
-    Kind.ANY, Kind.THE, Kind.ONE, Kind.OTHER, Kind.SIDE, Kind.DISTANCE, Kind.LOOK, Kind.STATE,
-    Kind.NUMBER, Kind.BATTERY, Kind.SLOT, Kind.REGION, Kind.AREA, Kind.CONTAINER, Kind.SURFACE,
-    Kind.PERSON, Kind.PRONOUN,
-})  # fmt: skip
-"""Kinds of words that a noun phrase can begin with."""
-
-_HEADS: dict[Kind, Head] = {
-    Kind.BATTERY: "thing", Kind.SLOT: "thing", Kind.REGION: "region", Kind.AREA: "area",
-    Kind.CONTAINER: "container", Kind.SURFACE: "surface", Kind.PERSON: "person",
-    Kind.PRONOUN: "pronoun",
-}  # fmt: skip
 _ADJECTIVES = frozenset({
     Kind.SIDE, Kind.DISTANCE, Kind.LOOK, Kind.OTHER, Kind.STATE, Kind.NUMBER,
 })  # fmt: skip
@@ -48,12 +28,17 @@ class PhraseReader:
     Args:
         tokens: All of it.
         text: As it was written, for messages.
+        lexicon: The words of the task.
     """
 
-    def __init__(self, tokens: list[Token], text: str) -> None:
+    def __init__(self, tokens: list[Token], text: str, lexicon: Lexicon) -> None:
         self.tokens = tokens
         self.text = text
+        self.lexicon = lexicon
+        self._words = lexicon.vocabulary
         self._known: dict[tuple[int, str], Phrase] = {}
+        self.relations = RelationReader(self)
+        self._tails = TailReader(self)
 
     def kind(self, at: int) -> Kind:
         """Kind of the token at a position; past the end all is a stop."""
@@ -78,19 +63,48 @@ class PhraseReader:
             self._known[at, default_category] = self._read(at, default_category)
         return self._known[at, default_category]
 
-    def _read(self, at: int, default_category: str) -> Phrase:
+    def read_plain(self, at: int, default_category: str) -> Phrase | None:
+        """Read a phrase up to its head, without what may follow; None when there is none."""
+        if self.kind(at) not in STARTS:
+            return None
         phrase = Phrase(start=at)
+        try:
+            phrase.end = self._up_to_head(phrase, at, default_category)
+        except InstructionError:
+            return None
+        phrase.said = self._said(phrase)
+        return phrase
+
+    def _up_to_head(self, phrase: Phrase, at: int, default_category: str) -> int:
         at = self._determiners(phrase, at)
         at = self._adjectives(phrase, at)
         at = self._head(phrase, at, default_category)
+        self._take_level(phrase)
+        return at
+
+    def _said(self, phrase: Phrase) -> str:
+        return " ".join(token.text for token in self.tokens[phrase.start : phrase.end])
+
+    def _read(self, at: int, default_category: str) -> Phrase:
+        phrase = Phrase(start=at)
+        at = self._up_to_head(phrase, at, default_category)
         ends = self.kind(at) in (Kind.STOP, Kind.COMMA, Kind.INTO, Kind.BE)
         if phrase.head == "none" and phrase.definite and not phrase.tells and ends:
             phrase.head = "pronoun"  # "put that in a slot"
-        if phrase.head not in ("pronoun", "person", "surface", "container"):
-            at = self._tails(phrase, at)
+        if phrase.head not in ("pronoun", "person", "surface", "container", "aside"):
+            at = self._tails.read(phrase, at)
         phrase.end = at
-        phrase.said = " ".join(token.text for token in self.tokens[phrase.start : at])
+        phrase.said = self._said(phrase)
         return phrase
+
+    def _take_level(self, phrase: Phrase) -> None:
+        """`right-topmost branch`: of places at several heights, one of the sides is a level."""
+        if self._words.level_m is None or not phrase.is_place or phrase.head == "area":
+            return
+        for level in ("top", "middle", "bottom"):
+            if level in phrase.sides:
+                phrase.level = level
+                phrase.sides = [side for side in phrase.sides if side != level]
 
     def _determiners(self, phrase: Phrase, at: int) -> int:
         """`the`, `a`, `one of the`, `any of those`."""
@@ -101,7 +115,7 @@ class PhraseReader:
                 at += 3
                 while self.kind(at) is Kind.NUMBER:  # "one of the two batteries"
                     at += 1
-            elif kind is Kind.ONE and self.kind(at + 1) in _ADJECTIVES | {Kind.BATTERY, Kind.SLOT}:
+            elif kind is Kind.ONE and self.kind(at + 1) in _ADJECTIVES | {Kind.PICK, Kind.PLACE}:
                 at += 1
             elif kind in (Kind.THE, Kind.ANY):
                 phrase.definite = kind is Kind.THE
@@ -125,7 +139,7 @@ class PhraseReader:
             elif kind is Kind.NUMBER:
                 phrase.several = True
             elif kind is Kind.CONTAINER and self.kind(at + 1) in _ADJECTIVES | {
-                Kind.SLOT, Kind.REGION,
+                Kind.PLACE, Kind.REGION,
             }:  # fmt: skip
                 pass  # "the crate's back row"
             elif kind is not Kind.STATE:
@@ -135,24 +149,28 @@ class PhraseReader:
     def _head(self, phrase: Phrase, at: int, default_category: str) -> int:
         kind, word = self.kind(at), self.word(at)
         phrase.category = default_category
+        phrase.is_place = default_category == self._words.place
         if kind is Kind.ONE:
             phrase.head = "thing"
             return at + 1
-        if kind not in _HEADS:
+        if kind not in HEADS:
             complete = phrase.tells or phrase.several or self.kind(at - 1) is Kind.STATE
             stands_alone = kind in (Kind.STOP, Kind.COMMA, Kind.INTO, Kind.BE, Kind.OF)
             if complete or stands_alone or self.word(at - 1) in ("that", "this"):
                 return at
             raise InstructionError(
                 f"after '{self.word(at - 1)}' the word '{word}' makes no sense to me in "
-                f"{self.text!r}; I understand {CAN_SAY}"
+                f"{self.text!r}; I understand {self._words.can_say}"
             )
-        phrase.head = _HEADS[kind]
-        if kind is Kind.BATTERY:
-            phrase.category = "battery"
-            phrase.several |= word.endswith("ies") and not self._chosen_from_many(phrase, at)
-        elif kind in (Kind.SLOT, Kind.REGION):
-            phrase.category = "slot"
+        phrase.head = HEADS[kind]
+        if kind in (Kind.PICK, Kind.TITLE):
+            phrase.category, phrase.is_place = self._words.pick, False
+            many = word.endswith("s") and kind is Kind.PICK
+            phrase.several |= many and not self._chosen_from_many(phrase, at)
+        elif kind in (Kind.PLACE, Kind.REGION):
+            phrase.category, phrase.is_place = self._words.place, True
+        if kind is Kind.TITLE:
+            phrase.looks.append(word)
         if kind is Kind.REGION:
             phrase.bands.append(self._band(phrase, word.rstrip("s")))
             phrase.sides, phrase.distance = [], None
@@ -174,120 +192,3 @@ class PhraseReader:
                 f"in {self.text!r}"
             )
         return Band("row" if axis == "row" else "column", sides[0])
-
-    def _tails(self, phrase: Phrase, at: int) -> int:
-        """Take every tail that says something of the head."""
-        while True:
-            end = self._tail(phrase, self._skip_relative(at))
-            if end is None:
-                return at
-            at = end
-
-    def _skip_relative(self, at: int) -> int:
-        """Pass `that is`, `which are`, `left` (outside), when more of the phrase follows."""
-        if self.word(at) == "left" and self.kind(at + 1) in (Kind.OUTSIDE, Kind.INTO):
-            return at + 1
-        if self.word(at) in ("that", "which", "who") and self.kind(at + 1) is Kind.BE:
-            return at + 2
-        return at
-
-    def _tail(self, phrase: Phrase, at: int) -> int | None:
-        """Read one tail; None when what stands here does not belong to the phrase."""
-        kind = self.kind(at)
-        if kind is Kind.OUTSIDE:
-            return self._outside(at + 1)
-        if kind is Kind.DISTANCE and not phrase.chooses:
-            return self._distance(phrase, at)
-        if kind in (Kind.INTO, Kind.OF) and self.kind(at + 1) in STARTS:
-            inner, preposition = self.read(at + 1, phrase.category), self.word(at)
-            measured = phrase.distance is not None and phrase.reference is None
-            # "the nearest battery to the crate" says rather where the battery goes.
-            unclear = preposition == "to" and inner.head == "container"
-            measured = measured and preposition in ("to", "from") and not unclear
-            if measured and self._refer(phrase, inner):
-                return inner.end
-            return self._attach(phrase, inner, preposition)
-        if kind is Kind.SIDE and phrase.head == "region":
-            inner = self.read(at, "slot")  # "the back row's left column"
-            if inner.head == "region":
-                phrase.bands += inner.bands
-                return inner.end
-        return None
-
-    def _outside(self, at: int) -> int:
-        """`outside`, `outside of the crate`; waiting batteries are the only ones that count."""
-        at += self.word(at) == "of"
-        end = at + (self.kind(at) is Kind.THE)
-        return end + 1 if self.kind(end) in (Kind.CONTAINER, Kind.SURFACE) else at
-
-    def _distance(self, phrase: Phrase, at: int) -> int:
-        """`closest`, `furthest from the crate`, `furthest to the left`."""
-        phrase.distance = DISTANCES[self.word(at)]
-        at += 1
-        start = at
-        while self.word(at) in ("away", "from", "to", "the") or (
-            self.kind(at) is Kind.STATE and at > start
-        ):
-            at += 1
-        if self.kind(at) is Kind.SIDE and self.kind(at + 1) not in _HEADS:
-            phrase.sides.append(SIDES[self.word(at)])
-            phrase.distance = None
-            return at + 1
-        at = start + (self.word(start) == "away")
-        at += self.word(at) in ("to", "from")
-        if self.kind(at) in STARTS:
-            inner = self.read(at, "battery")
-            if self._refer(phrase, inner):
-                return inner.end
-        return start
-
-    def _refer(self, phrase: Phrase, inner: Phrase) -> bool:
-        """Whether `inner` can be what a distance is measured from; if so, note it."""
-        if inner.head == "person":
-            phrase.reference = "robot"
-        elif inner.head == "container":
-            phrase.reference = "crate"
-        elif inner.head == "pronoun" and phrase.category == "slot":
-            phrase.reference = "picked"
-        elif inner.head == "thing" and inner.category == "battery" and phrase.category == "slot":
-            phrase.reference = inner.describe() if inner.tells else "picked"
-        else:
-            return False
-        return True
-
-    def _attach(self, phrase: Phrase, inner: Phrase, preposition: str) -> int | None:
-        """Join `in the back row`, `on the left`, `of the crate`, `on the table` to the head."""
-        is_slot = phrase.category == "slot"
-        if inner.head == "surface":
-            return inner.end
-        if inner.head == "container":
-            belongs = is_slot or phrase.head == "area" or preposition in ("of", "from")
-            return inner.end if belongs and preposition != "to" else None
-        if inner.head == "region" and is_slot and preposition != "to":
-            phrase.bands += inner.bands
-            phrase.sides += inner.sides  # "in the back row on the left"
-            return inner.end
-        if inner.head == "thing" and preposition == "of" and inner.category == phrase.category:
-            phrase.looks += inner.looks  # "the left-most of the green batteries"
-            phrase.sides += inner.sides
-            return inner.end
-        sided = inner.head in ("area", "none") and inner.sides and not inner.distance
-        if not sided or preposition in ("to", "into", "onto", "from") or phrase.chooses:
-            return None
-        return self._attach_side(phrase, inner)
-
-    def _attach_side(self, phrase: Phrase, inner: Phrase) -> int | None:
-        """`on the left side`: of a slot always, of a battery unless it is a side of the crate."""
-        # Up to the end of "the middle of the back row", which the inner phrase may not have taken.
-        end = inner.end
-        if self.kind(end) is Kind.OF and self.kind(end + 1) in STARTS:
-            end = self.read(end + 1, "slot").end
-        within = {token.kind for token in self.tokens[inner.start : end]}
-        if phrase.category == "battery" and within & {Kind.CONTAINER, Kind.REGION}:
-            return None
-        phrase.sides += inner.sides
-        return inner.end
-
-    def unknown(self, at: int) -> InstructionError:
-        """The error for a word that has no place in the sentence."""
-        return InstructionError(unknown_word(self.word(at), self.text))

@@ -6,7 +6,8 @@ The examples are programs of the built-in composer, so they always keep the rule
 from __future__ import annotations
 
 from codediffuser.labeling.language import allowed
-from codediffuser.labeling.language.composer import compose_detection, compose_program
+from codediffuser.labeling.language.composer import compose_program
+from codediffuser.labeling.language.detection import compose_detection
 from codediffuser.labeling.language.instances import Directions
 from codediffuser.labeling.language.models import Prompt
 

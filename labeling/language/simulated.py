@@ -10,6 +10,7 @@ import numpy as np
 from codediffuser.datagen.scene import ObjectSpec, PlaceSpec, SceneSpec
 from codediffuser.datagen.task import Task, get_task
 from codediffuser.labeling.language.instances import Directions, Instance, ListedInstances
+from codediffuser.labeling.language.vocabulary import Vocabulary
 from codediffuser.poses import apply_transform
 
 
@@ -36,7 +37,13 @@ def simulated_provider(
     waiting = {thing.id for thing in scene.pickable}
     objects = sorted(scene.objects, key=lambda thing: thing.id not in waiting)
     found = [
-        Instance(o.id, o.category, o.name, seen[o.id] if o.id in seen else _object_points(task, o))
+        Instance(
+            o.id,
+            o.category,
+            o.name,
+            seen[o.id] if o.id in seen else _object_points(task, o),
+            label=o.label,
+        )
         for o in objects
     ]
     found += [
@@ -50,6 +57,7 @@ def simulated_provider(
         {"pick": task.pick_category, "place": task.place_category},
         categories=(task.pick_category, task.place_category, *fixed),
         directions=Directions(observer.right, observer.front),
+        vocabulary=Vocabulary.of(task),
     )
 
 

@@ -6,7 +6,8 @@ import pytest
 
 from codediffuser.errors import ConfigError, InstructionError
 from codediffuser.labeling.language.checker import check_program
-from codediffuser.labeling.language.composer import compose_detection, compose_program
+from codediffuser.labeling.language.composer import compose_program
+from codediffuser.labeling.language.detection import compose_detection
 from codediffuser.labeling.language.grounding import ground
 from codediffuser.labeling.language.instances import Directions, ListedInstances
 
