@@ -3,7 +3,9 @@
 python -m codediffuser.datasets.exporting.bench RUN --num-episodes 2
 
 Both sides read the same episodes from their logs and write the same features with the same codec
-and quality. Each turn is a process of its own, so that its peak memory can be told.
+and quality. LeRobot's side is its documented recording loop with every setting at its default: a
+frame's pictures are written one by one, then a process per camera encodes. Each turn is a process
+of its own, so that its peak memory can be told.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import multiprocessing
 import os
 import resource
 import shutil
+import signal
 import statistics
 import sys
 import tempfile
@@ -45,6 +48,9 @@ from codediffuser.datasets.features import (
 )
 from codediffuser.errors import DatasetError
 
+TIMEOUT_S = 3600.0
+"""For one turn; a longer one is taken for hung."""
+
 
 @dataclass(kw_only=True)
 class Options:
@@ -55,7 +61,8 @@ class Options:
     num_episodes: int = 2
     profile: Literal["portable", "masked-rgb"] = "portable"
     workers: int = 1
-    """Processes of our side. Both sides' encoders have threads of their own."""
+    """Processes of our side. LeRobot's encodes by one per camera. Both sides' encoders have threads
+    of their own."""
     rounds: int = 3
     """How often each side has its turn."""
 
@@ -90,7 +97,12 @@ def measure(options: Options, scratch: Path) -> str:
     ratio = statistics.median(
         b.wall_s / a.wall_s for a, b in zip(turns["ours"], turns["lerobot"], strict=True)
     )
-    lines = [f"profile {options.profile}, {len(folders)} episodes, {frames} camera sets"]
+    size = Source(folders[0]).cameras[0]
+    lines = [
+        f"profile {options.profile}, {len(folders)} episodes, {frames} camera sets of "
+        f"{size.width} x {size.height}; ours: {options.workers} process(es); "
+        "lerobot: its defaults, a process per camera encodes"
+    ]
     for side, taken in turns.items():
         best = statistics.median(t.wall_s for t in taken)
         cpu = statistics.median(t.cpu_s for t in taken)
@@ -118,6 +130,10 @@ def _in_own_process(
     process.start()
     sender.close()
     try:
+        if not receiver.poll(TIMEOUT_S):
+            # And all that it has started: one of those may be what hangs.
+            os.killpg(process.pid, signal.SIGKILL)
+            raise DatasetError(f"{work.__name__}: no end after {TIMEOUT_S:.0f} s")
         turn: Turn = receiver.recv()
     except EOFError:
         raise DatasetError(f"{work.__name__}: its process ended without a result") from None
@@ -128,6 +144,7 @@ def _in_own_process(
 def _turn(
     pipe: Any, work: Callable[[Path, Path, Options], None], run: Path, out: Path, options: Options
 ) -> None:
+    os.setpgrp()
     work(run, out.with_name("warm"), _first_only(options))
     shutil.rmtree(out.with_name("warm"), ignore_errors=True)
     started, cpu = time.perf_counter(), _cpu_s()
@@ -178,9 +195,7 @@ def _lerobot(run: Path, out: Path, options: Options) -> None:
         source = Source(folder)
         for row in _rows(source, set(features)):
             dataset.add_frame({**row, "task": source.manifest.instruction})
-        # By default each camera is encoded by a forked process, as fast here, but the fork
-        # deadlocks now and then beside the threads of the libraries that are loaded.
-        dataset.save_episode(parallel_encoding=False)
+        dataset.save_episode()
     dataset.finalize()
 
 
@@ -189,7 +204,7 @@ def _rows(source: Source, keys: set[str]) -> Any:
     episode = source.episode
     texts = {
         LABELS: labels_json(source.folder),
-        PROGRAM: program_text(source.manifest.instruction, source.manifest.task),
+        PROGRAM: program_text(source.manifest.instruction),
         EPISODE_ID: episode.id,
     }
     state, actions = episode.state, episode.actions
