@@ -4,33 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import zstandard
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from rosbags.serde import SerdeError
 
 from codediffuser.datagen import episode_format as fmt
 from codediffuser.datagen import ros_messages as ros
-from codediffuser.datagen.episode_format import Camera, EpisodeManifest, MotionRecord
+from codediffuser.datagen.episode_format import METRES_PER_MM, Camera, EpisodeManifest
+from codediffuser.datagen.log_reader import READ_ERRORS, LogReader
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.trajectory import Trajectory
 from codediffuser.errors import ConfigError, EpisodeError, SchemaVersionError
 from codediffuser.files import sha256_file
-from codediffuser.poses import matrix_to_rot6d
-
-# Multiplied, not divided: the renderer does so too, and live depth equals stored depth bit by bit.
-METRES_PER_MM = np.float32(1e-3)
-
-# All that the libraries below raise on damaged bytes.
-READ_ERRORS = (
-    McapError, SerdeError, zstandard.ZstdError, struct.error, ValueError, KeyError, OSError,
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +42,7 @@ class Episode:
     def __init__(self, folder: Path, manifest: EpisodeManifest) -> None:
         self.folder = folder
         self.manifest = manifest
+        self._log = LogReader(folder / fmt.LOG, manifest.hz)
 
     @classmethod
     def open(cls, folder: Path, *, verify: bool = False) -> Episode:
@@ -102,7 +90,7 @@ class Episode:
     @property
     def log_path(self) -> Path:
         """The MCAP file."""
-        return self.folder / fmt.LOG
+        return self._log.path
 
     @property
     def remedy(self) -> str:
@@ -133,19 +121,8 @@ class Episode:
     def cameras(self) -> dict[str, Camera]:
         """Calibrated cameras that stand still, by name, in the order of the manifest."""
         names = [c.name for c in self.manifest.cameras if c.calibrated and not c.moving]
-        infos, poses = {}, {}
         with self._reading():
-            topics = [fmt.TF_STATIC, *(fmt.info_topic(n) for n in names)]
-            for topic, data in self._messages(topics, 0, 1):
-                if topic == fmt.TF_STATIC:
-                    poses.update(ros.decode_transforms(data))
-                else:
-                    infos[topic] = ros.decode_camera_info(data)
-            cameras = {}
-            for name in names:
-                K, width, height = infos[fmt.info_topic(name)]
-                cameras[name] = Camera(K, poses[fmt.optical_frame(name)], width, height)
-        return cameras
+            return self._log.cameras(names)
 
     @property
     def depth_cameras(self) -> dict[str, Camera]:
@@ -162,11 +139,8 @@ class Episode:
         self._camera_names([name])
         if name in self.cameras:
             return np.tile(self.cameras[name].T_world_camera, (self.num_frames, 1, 1))
-        frame = fmt.optical_frame(name)
         with self._reading():
-            messages = self._messages([fmt.TF], 0, self.num_frames)
-            found = [ros.decode_transforms(data) for _, data in messages]
-        poses = [T[frame] for T in found if frame in T]
+            poses = self._log.moving_camera_poses(name, self.num_frames)
         if len(poses) != self.num_frames:
             raise EpisodeError(f"{self.folder}: camera '{name}' is not calibrated in every frame")
         return np.stack(poses)
@@ -179,30 +153,16 @@ class Episode:
         """
         self._camera_names([name])
         with self._reading():
-            for _, data in self._messages([fmt.info_topic(name)], 0, 1):
-                return ros.decode_camera_info(data)
-        raise EpisodeError(f"{self.folder}: camera '{name}' is not calibrated")
+            info = self._log.camera_info(name)
+        if info is None:
+            raise EpisodeError(f"{self.folder}: camera '{name}' is not calibrated")
+        return info
 
     @functools.cached_property
     def _low_dim(self) -> tuple[np.ndarray, np.ndarray]:
         """State and actions, both (T, n) float32, from one pass over the log."""
-        motion = self.manifest.motion
-        rows: dict[str, list[np.ndarray]] = {topic: [] for topic in motion.step_topics}
         with self._reading():
-            for topic, data in self._messages(motion.step_topics, 0, self.num_frames):
-                rows[topic].append(_low_dim_row(topic, data, motion))
-        lengths = {len(found) for found in rows.values()}
-        if lengths != {self.num_frames}:
-            raise EpisodeError(
-                f"{self.log_path}: expected {self.num_frames} messages of each of "
-                f"{', '.join(rows)}, got {sorted(lengths)}; {self.remedy}"
-            )
-        if motion.kind == "joints":
-            state, actions = np.array(rows[fmt.JOINT_STATES]), np.array(rows[fmt.COMMAND_JOINTS])
-            return state.astype(np.float32), actions.astype(np.float32)
-        state = np.column_stack([rows[fmt.HAND_POSE], rows[fmt.JOINT_STATES]])
-        actions = np.column_stack([rows[fmt.COMMAND_POSE], rows[fmt.COMMAND_GRIPPER]])
-        return state.astype(np.float32), actions.astype(np.float32)
+            return self._log.state_and_actions(self.manifest.motion, self.num_frames)
 
     @property
     def state(self) -> np.ndarray:
@@ -272,7 +232,7 @@ class Episode:
             yield from (self._empty_frame(k) for k in range(start, stop))
             return
         with self._reading():
-            messages = self._messages([*color_topics, *depth_topics], start, stop)
+            messages = self._log.messages([*color_topics, *depth_topics], start, stop)
             for k in range(start, stop):
                 frame = self._empty_frame(k)
                 for _ in range(wanted):
@@ -295,19 +255,6 @@ class Episode:
             if name not in known:
                 raise EpisodeError(f"{self.folder}: no camera '{name}'; it has {', '.join(known)}")
         return known if cameras is None else list(cameras)
-
-    def _messages(
-        self, topics: Sequence[str], start: int, stop: int
-    ) -> Iterator[tuple[str, bytes]]:
-        """Topic and content of the messages of frames start <= k < stop, in time order."""
-        with self.log_path.open("rb") as stream:
-            messages = make_reader(stream, validate_crcs=True).iter_messages(
-                topics=topics,
-                starting_at=fmt.step_time_ns(start, self.hz),
-                ending_before=fmt.step_time_ns(max(start, stop), self.hz),
-            )
-            for _, channel, message in messages:
-                yield channel.topic, message.data
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
@@ -359,26 +306,3 @@ def load_manifest(folder: Path) -> EpisodeManifest:
             f"{path}: lists no {fmt.LOG}; delete the folder {folder} and make it again"
         )
     return manifest
-
-
-def _pose_row(T_world_hand: np.ndarray) -> np.ndarray:
-    return np.concatenate([T_world_hand[:3, 3], matrix_to_rot6d(T_world_hand[:3, :3])])
-
-
-def _low_dim_row(topic: str, data: bytes, motion: MotionRecord) -> np.ndarray:
-    """What one message adds to the rows of state or actions."""
-    if topic in (fmt.HAND_POSE, fmt.COMMAND_POSE):
-        return _pose_row(ros.decode_pose(data))
-    if topic == fmt.COMMAND_GRIPPER:
-        return np.array([ros.decode_float(data)])
-    names, values, _ = ros.decode_joint_state(data)
-    if motion.kind == "joints":
-        return values
-    fingers = [
-        i
-        for i, name in enumerate(names)
-        if (name in motion.gripper_joints if motion.gripper_joints else "finger" in name)
-    ]
-    if not fingers:
-        raise EpisodeError(f"joint states name no finger joint: {', '.join(names)}")
-    return np.array([values[fingers].mean()])

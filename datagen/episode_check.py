@@ -14,7 +14,8 @@ import numpy as np
 from mcap.reader import make_reader
 
 from codediffuser.datagen import episode_format as fmt
-from codediffuser.datagen.episode import READ_ERRORS, Episode, load_manifest
+from codediffuser.datagen.episode import Episode, load_manifest
+from codediffuser.datagen.log_reader import READ_ERRORS
 from codediffuser.datagen.trajectory import ACTION_NAMES
 from codediffuser.datagen.views import moment_at
 from codediffuser.errors import CodeDiffuserError

@@ -44,6 +44,10 @@ HAND_TOPICS = (JOINT_STATES, HAND_POSE, COMMAND_POSE, COMMAND_GRIPPER)
 JOINT_TOPICS = (JOINT_STATES, COMMAND_JOINTS)
 """Topics with one message per control step, beside the pictures, by `MotionRecord.kind`."""
 
+METRES_PER_MM = np.float32(1e-3)
+"""Depth in metres is whole millimetres times this, not divided by 1000: live depth then equals
+stored depth bit by bit."""
+
 WORLD_FRAME = "world"
 PANDA_JOINT_NAMES = (*(f"panda_joint{i}" for i in range(1, 8)), "panda_finger_joint1",
                      "panda_finger_joint2")  # fmt: skip

@@ -17,6 +17,7 @@ from codediffuser.datagen import sim
 from codediffuser.datagen.appearance import Looks
 from codediffuser.datagen.assets import panda_urdf
 from codediffuser.datagen.cameras import camera_parameters, sapien_camera_pose
+from codediffuser.datagen.episode_format import METRES_PER_MM
 from codediffuser.datagen.known_shapes import Shapes
 from codediffuser.datagen.robot import base_pose
 from codediffuser.datagen.scene import SceneSpec
@@ -159,7 +160,7 @@ class Renderer:
         position = component.get_picture("PositionSegmentation")
         return Frame(
             rgb=np.ascontiguousarray(color[..., :3]),
-            depth_m=np.negative(position[..., 2]).astype(np.float32) * np.float32(1e-3),
+            depth_m=np.negative(position[..., 2]).astype(np.float32) * METRES_PER_MM,
             object_index=self._object_index[position[..., 3]],
         )
 

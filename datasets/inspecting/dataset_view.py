@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from codediffuser.datagen.episode_format import Camera
+from codediffuser.datagen.episode_format import METRES_PER_MM, Camera
 from codediffuser.datasets import parquet_reader
 from codediffuser.datasets.export_meta import load_info
 from codediffuser.datasets.exporting.pictures import picture_of
@@ -37,7 +37,6 @@ from codediffuser.datasets.inspecting.episode_view import (
 from codediffuser.errors import DatasetError
 
 IMAGES = "observation.images."
-METRES_PER_MM = np.float32(1e-3)
 LOW_RGB, HIGH_RGB = np.array([70, 78, 90]), np.array([196, 202, 210])
 """A cloud without colours is shaded by height."""
 
