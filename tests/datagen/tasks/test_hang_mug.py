@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from codediffuser.datagen.drawing import HANDLE, Disc, Line, Text
 from codediffuser.datagen.mug_check import branches_in_handle
@@ -24,8 +25,8 @@ Moves = Callable[[SceneSpec, int], list[Move]]
 
 HAND_AWAY = make_transform(R_WORLD_HAND_DOWN, np.array([0.0, -0.2, 0.30]))
 PHASES = [
-    "approach", "descend", "grasp", "lift", "transport", "align", "insert", "lower", "release",
-    "retreat", "home", "settle",
+    "approach", "descend", "grasp", "lift", "carry", "transport", "align", "insert", "lower",
+    "release", "retreat", "home", "settle",
 ]  # fmt: skip
 
 
@@ -310,6 +311,41 @@ def test_the_handle_is_led_over_the_branch_from_its_tip(task: HangMug, moves_of:
             for phase in ("align", "insert", "lower")
         }
         assert around == {"align": False, "insert": True, "lower": True}
+
+
+def test_a_mug_is_carried_sideways_in_front_of_the_tree(task: HangMug, moves_of: Moves) -> None:
+    for index in range(12):
+        scene = sample_scene(task, root_seed=3, index=index, variant="real")
+        moves = moves_of(scene, index)
+        lift, carry, transport = (
+            next(m for m in moves if m.phase == phase) for phase in ("lift", "carry", "transport")
+        )
+        assert carry.T_world_hand[1, 3] == lift.T_world_hand[1, 3]
+        assert carry.T_world_hand[0, 3] == pytest.approx(transport.T_world_hand[0, 3])
+        way = abs(carry.T_world_hand[0, 3] - lift.T_world_hand[0, 3])
+        assert carry.steps <= 1 + 1.2 * task.config.script.steps.carry * way / 0.1
+
+
+@pytest.mark.parametrize("sunk_rad", [0.0, 0.3])
+def test_a_mug_that_sank_in_the_hand_does_not_lean_the_hand_more(
+    task: HangMug, make_view: Callable[..., Any], sunk_rad: float
+) -> None:
+    scene = next(
+        s
+        for s in (sample_scene(task, root_seed=4, index=i) for i in range(20))
+        if s.target.place.startswith("left")
+    )
+    view = make_view(scene)
+    for move in task.script(view, np.random.default_rng(0)):
+        if move.phase == "grasp":
+            view.hand = move.T_world_hand
+        if move.phase == "lift":  # The handle sinks, about the line between the fingers.
+            sunk = scene.object(scene.target.pick).T_world_object
+            sunk[:3, :3] = sunk[:3, :3] @ Rotation.from_euler("y", sunk_rad).as_matrix()
+            view.poses[scene.target.pick] = sunk
+        if move.phase == "insert":
+            lean = np.arccos(-move.T_world_hand[2, 2])
+            assert lean <= task.config.script.tilt_rad[1] + 0.01
 
 
 def test_no_two_demonstrations_are_one_motion(scene: SceneSpec, moves_of: Moves) -> None:
