@@ -120,8 +120,9 @@ def hang_mug_moves(
     """Yield the moves of one demonstration.
 
     The mug is grasped from above across its body, so that the handle stays free; carried sideways
-    while still in front of the tree, since the straight way may lead through another branch; brought
-    before the tip with its handle's plane square to the branch; led inward along the branch; let go.
+    while still in front of the tree, since the straight way may lead through another branch;
+    brought before the tip with its handle's plane square to the branch; led inward along the
+    branch; let go.
 
     Args:
         view: The state, looked at again before each move that depends on how the mug is held.

@@ -10,7 +10,7 @@ from codediffuser.registry import unknown_name
 from codediffuser.schema import Strict
 from codediffuser.seeding import Stage
 
-Factor = Literal["kind", "template", "picks", "places", "target_place"]
+Factor = Literal["kind", "template", "picks", "places", "target_place", "start"]
 """What `--stratify` can spread evenly."""
 
 

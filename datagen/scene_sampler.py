@@ -153,7 +153,9 @@ class SceneSource:
         fitting = [
             pair
             for pair in instruction.pairs
-            if asked.target_place in (None, pair[1]) and self._in_split(layout, pair)
+            if asked.target_place in (None, pair[1])
+            and (asked.start is None or asked.start.contains(*_start_m(layout, pair)))
+            and self._in_split(layout, pair)
         ]
         if not fitting:
             raise InstructionError(
@@ -166,9 +168,8 @@ class SceneSource:
     def _in_split(self, layout: Layout, pair: Pair) -> bool:
         if self.settings.split in ("all", "eval"):
             return True
-        x, y, _ = next(o.position_m for o in layout.pickable if o.id == pair[0])
-        found = configuration_split(self.task.config.splits, (x, y), pair[1])
-        return found == self.settings.split
+        splits = self.task.config.splits
+        return configuration_split(splits, _start_m(layout, pair), pair[1]) == self.settings.split
 
     def _rng(self, index: int, attempt: int) -> np.random.Generator:
         settings = self.settings
@@ -191,6 +192,12 @@ class SceneSource:
             f"{self.task.name}, scene {index:06d}: none of {tries} layouts fits its sentence; "
             f"last: {reason}; {', or '.join(remedies)}"
         )
+
+
+def _start_m(layout: Layout, pair: Pair) -> tuple[float, float]:
+    """World x and y at which the object of a pair waits."""
+    x, y, _ = next(o.position_m for o in layout.pickable if o.id == pair[0])
+    return x, y
 
 
 def sample_scene(

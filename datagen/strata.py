@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -10,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from codediffuser.datagen.configuration_split import Region
 from codediffuser.datagen.instructions.phrasebook import Phrasebook
 from codediffuser.datagen.layout import Layout
 from codediffuser.datagen.sampling_settings import SamplingSettings
@@ -35,6 +37,8 @@ class Stratum:
     picks: int | None = None
     places: int | None = None
     target_place: str | None = None
+    start: Region | None = None
+    """Part of the table that the picked object starts in."""
 
 
 def make_strata(
@@ -43,13 +47,15 @@ def make_strata(
     """All combinations of the levels of `settings.stratify` that can occur.
 
     Numbers of objects and places, and the places themselves, are those that `SURVEY_LAYOUTS`
-    layouts of the variant show, so a task need not say them.
+    layouts of the variant show, so a task need not say them. Starts are sorted into four quarters:
+    left and right, near and far half of where objects that wait stand in those layouts.
 
     Raises:
         ConfigError: No combination can occur.
     """
     asked = set(settings.stratify)
-    survey = _survey(task, settings) if asked & {"picks", "places", "target_place"} else ()
+    surveyed = {"picks", "places", "target_place", "start"}
+    survey = _survey(task, settings) if asked & surveyed else ()
     templates = phrasebook.templates(picks=settings.picks, places=settings.places)
     picks = _levels("picks" in asked, settings.picks, (len(s.pickable) for s in survey))
     places = _levels("places" in asked, settings.places, (len(s.free_places) for s in survey))
@@ -57,16 +63,18 @@ def make_strata(
         "target_place" in asked, None,
         (p.id for s in survey for p in s.free_places if _may_be_target(task, settings, p.id)),
     )  # fmt: skip
+    starts = _quarters(task, settings, survey) if "start" in asked else (None,)
     kinds: Sequence[tuple[str | None, str | None]] = [(None, None)]
     if "template" in asked:
         kinds = [(t.kind, t.id) for t in templates]
     elif "kind" in asked:
         kinds = [(kind, None) for kind in dict.fromkeys(t.kind for t in templates)]
     found = []
-    for (kind, template), pick, place, target in product(kinds, picks, places, targets):
+    factors = product(kinds, picks, places, targets, starts)
+    for (kind, template), pick, place, target, start in factors:
         sayable = phrasebook.templates(picks=pick, places=place)
         if any(kind in (None, t.kind) and template in (None, t.id) for t in sayable):
-            found.append(Stratum(kind, template, pick, place, target))
+            found.append(Stratum(kind, template, pick, place, target, start))
     if not found:
         raise ConfigError(
             f"stratify: no combination of {', '.join(settings.stratify)} can occur in variant "
@@ -108,6 +116,34 @@ def _survey(task: Task, settings: SamplingSettings) -> tuple[Layout, ...]:
         except PlacementError:
             continue  # The scene that meets this says so, with its number.
     return tuple(found)
+
+
+def _quarters(
+    task: Task, settings: SamplingSettings, survey: Iterable[Layout]
+) -> tuple[Region, ...]:
+    """Quarters of the table, cut at the median start, that objects of the split start in."""
+    starts = [thing.position_m[:2] for layout in survey for thing in layout.pickable]
+    starts = [start for start in starts if _may_start(task, settings, start)]
+    if not starts:
+        return ()
+    middle_x, middle_y = np.median(starts, axis=0)
+    halves_x = ((-math.inf, float(middle_x)), (float(middle_x), math.inf))
+    halves_y = ((-math.inf, float(middle_y)), (float(middle_y), math.inf))
+    quarters = [
+        Region(low_m=(left, front), high_m=(right, back))
+        for (left, right), (front, back) in product(halves_x, halves_y)
+    ]
+    return tuple(q for q in quarters if any(q.contains(x, y) for x, y in starts))
+
+
+def _may_start(task: Task, settings: SamplingSettings, start_xy_m: tuple[float, float]) -> bool:
+    region = task.config.splits.held_out_region
+    if region is None or settings.split in ("all", "eval"):
+        return True
+    # With places held out too, a held-out scene may start anywhere.
+    if settings.split == "held_out" and task.config.splits.held_out_places:
+        return True
+    return region.contains(*start_xy_m) == (settings.split == "held_out")
 
 
 def _may_be_target(task: Task, settings: SamplingSettings, place_id: str) -> bool:

@@ -22,7 +22,7 @@ class Sample(Verb):
     """
 
     task: tyro.conf.Positional[str | None] = None
-    """Name of a task: pack_battery."""
+    """Name of a task: hang_mug, pack_battery, stow_book."""
     out: Path | None = None
     """Folder for the scenes; `demo RUN` looks for them in RUN/scenes."""
     num_episodes: NumEpisodes = 10
@@ -42,7 +42,7 @@ class Sample(Verb):
     template_split: Literal["all", "seen", "unseen"] = "all"
     """Which sentences: unseen ones are marked in the file, to be kept out of training."""
     stratify: tuple[str, ...] = ()
-    """Spread these evenly: kind, template, picks, places, target_place, alone or together."""
+    """Spread these evenly: kind, template, picks, places, target_place, start, or combinations."""
     pictures: bool = True
     """Draw the pictures to reset by, those of the set, and the pads to print."""
     paper: Literal["A4", "A3"] = "A4"

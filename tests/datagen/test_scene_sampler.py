@@ -1,3 +1,4 @@
+import itertools
 from collections import Counter
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from codediffuser.datagen.instructions.templates import load_templates
 from codediffuser.datagen.sampling_settings import SamplingSettings, parse_factors
 from codediffuser.datagen.scene import SceneSpec, SeedKey, TemplateSplit
 from codediffuser.datagen.scene_sampler import SceneSource, sample_scene
-from codediffuser.datagen.task import get_task
+from codediffuser.datagen.task import TASKS, get_task
 from codediffuser.datagen.tasks.pack_battery import PackBattery
 from codediffuser.errors import (
     ConfigError,
@@ -212,6 +213,19 @@ def test_target_places_can_be_spread_evenly_within_a_split(pack_battery: PackBat
     source = SceneSource(pack_battery, settings)
     left = 12 - len(pack_battery.config.splits.held_out_places)
     assert len({source.draw(i).target.place for i in range(left)}) == left
+
+
+@pytest.mark.parametrize("task_name", sorted(TASKS))
+def test_starts_can_be_spread_evenly_over_the_quarters_of_the_table(task_name: str) -> None:
+    task = get_task(task_name)
+    settings = SamplingSettings(root_seed=2, stratify=("start",), split="train")
+    source = SceneSource(task, settings)
+    scenes = [source.draw(i) for i in range(16)]
+    starts = np.array([s.object(s.target.pick).position_m[:2] for s in scenes])
+    xs, ys = (np.sort(column) for column in starts.T)
+    cut_x, cut_y = (xs[7] + xs[8]) / 2, (ys[7] + ys[8]) / 2
+    quarters = Counter((bool(x > cut_x), bool(y > cut_y)) for x, y in starts)
+    assert quarters == dict.fromkeys(itertools.product((False, True), repeat=2), 4)
 
 
 def test_unknown_factors_are_refused_with_a_hint() -> None:
