@@ -186,7 +186,7 @@ def summarize(results: Sequence[DemoResult], *, workers: int, wall_s: float) -> 
 
 
 def report_lines(summary: DemoSummary) -> list[str]:
-    """Yield, failure histogram and throughput in words, without speeds that nothing was done at."""
+    """Yield, failure histogram and throughput in words; no speeds when nothing was left to do."""
     s = summary
     lines = [
         f"{s.successes} of {s.scenes} scenes solved ({s.success_rate:.1%}) in {s.attempts} "
@@ -200,6 +200,8 @@ def report_lines(summary: DemoSummary) -> list[str]:
             f"{s.new_successes} new in {s.wall_s:.0f} s by {s.workers} workers: "
             f"{s.episodes_per_hour:.0f} an hour"
         )
+    if s.scenes and not (s.physics_s or s.render_s or s.write_s):
+        lines.append("nothing was left to do; --overwrite makes everything again")
     speeds = []
     if s.control_steps_per_s:
         speeds.append(f"{s.control_steps_per_s:.0f} control steps/s")

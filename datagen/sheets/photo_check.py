@@ -21,7 +21,6 @@ from codediffuser.datagen.task import TASKS, Task, get_task
 from codediffuser.errors import CodeDiffuserError, ConfigError
 from codediffuser.files import write_bytes
 
-VARIANTS = ("sim", "real")
 MIN_TAGS = 3
 """Of the four of a pad. Two on one side would leave the other side to extrapolation."""
 MAX_RESIDUAL_MM = 0.6
@@ -202,12 +201,8 @@ def _all_sheets() -> Iterator[PadSheet]:
     """Pads of every registered task."""
     for name in TASKS.names():
         task = get_task(name)
-        for variant in VARIANTS:
-            try:
-                pads = task.pads(variant)
-            except ConfigError:
-                continue
-            yield from pad_sheets(name, variant, pads)
+        for variant in task.config.variants:
+            yield from pad_sheets(name, variant, task.pads(variant))
 
 
 def _draw_views(rgb: np.ndarray, drawing: Drawing, views: Sequence[PadView]) -> np.ndarray:

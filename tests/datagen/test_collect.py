@@ -17,7 +17,13 @@ import pytest
 
 from codediffuser.datagen import collect
 from codediffuser.datagen.collect import CollectOptions
-from codediffuser.datagen.demo_results import DemoFailure, DemoResult, failure_path, summarize
+from codediffuser.datagen.demo_results import (
+    DemoFailure,
+    DemoResult,
+    failure_path,
+    report_lines,
+    summarize,
+)
 from codediffuser.datagen.episode import Episode, load_manifest
 from codediffuser.datagen.episode_check import check_episode
 from codediffuser.datagen.pictures import (
@@ -175,6 +181,19 @@ def test_a_run_without_scenes_says_so(tmp_path):
 def test_a_summary_of_nothing_divides_by_nothing():
     summary = summarize([], workers=1, wall_s=0.0)
     assert (summary.success_rate, summary.camera_sets_per_s, summary.episodes_per_hour) == (0, 0, 0)
+
+
+def test_a_finished_run_says_that_nothing_was_left_to_do():
+    done = DemoResult("000000", success=True, earlier=True, steps=185)
+    new = dataclasses.replace(done, earlier=False, physics_s=2.0)
+    lines = {
+        case: "\n".join(report_lines(summarize(results, workers=1, wall_s=4.0)))
+        for case, results in (("finished", [done]), ("one new", [done, new]))
+    }
+    assert "nothing was left to do" in lines["finished"]
+    assert "steps/s" not in lines["finished"]
+    assert "nothing" not in lines["one new"]
+    assert "92 control steps/s" in lines["one new"]
 
 
 def test_depth_is_rounded_to_whole_millimetres():

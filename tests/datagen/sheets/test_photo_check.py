@@ -15,7 +15,6 @@ from codediffuser.datagen import drawing
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.sheets.photo_check import (
     MAX_RESIDUAL_MM,
-    VARIANTS,
     check_photo,
     detect_tags,
     find_pads,
@@ -31,7 +30,9 @@ Photo = tuple[np.ndarray, np.ndarray]
 Photograph = Callable[..., Photo]
 
 OTHER_PADS = [
-    pad for pad in itertools.product(TASKS.names(), VARIANTS) if pad != ("pack_battery", "sim")
+    pad
+    for pad in itertools.product(TASKS.names(), ("sim", "real"))
+    if pad != ("pack_battery", "sim")
 ]
 CONDITIONS: dict[str, dict[str, Any]] = {
     "phone": {"width": 1440, "height": 1080},
