@@ -18,6 +18,7 @@ from codediffuser.datagen.episode_format import Camera
 from codediffuser.errors import SetupError, ShapeError
 from codediffuser.files import atomic_path, sha256_file
 from codediffuser.labeling.perception.features import FEATURES, FeatureOptions
+from codediffuser.labeling.perception.references import ReferenceLibrary, make_reference
 from codediffuser.schema import Document
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ WEIGHTS = Path(__file__).parent / "weights" / "builtin.safetensors"
 CARD_SUFFIX = ".yaml"
 FOCAL_PX = 248.0
 """Focal length of the pictures that it was trained on; others are resized to about this."""
+NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
+"""Trained references come from no single picture."""
 MULTIPLE = 16
 """The network takes pictures whose sides divide by this."""
 
@@ -48,6 +51,8 @@ class Card(Document):
     recipe: dict[str, float | int]
     scenes: dict[str, int]
     """Scenes of each task that were trained on, and `held_out` for the scores below."""
+    made_at: str
+    """When, ISO 8601, UTC."""
     minutes: float
     """Of training, on one core."""
     scores: dict[str, dict[str, float]]
@@ -87,12 +92,24 @@ class BuiltinFeatures:
         """D, the length of an embedding."""
         return int(self._network.references.shape[1])
 
-    def references(self) -> dict[str, np.ndarray]:
-        """The unit feature (D,) that stands for each category, `background` among them."""
+    def library(self) -> ReferenceLibrary:
+        """The references that were trained with the network: one feature for each category."""
         import torch
 
         unit = torch.nn.functional.normalize(self._network.references.detach(), dim=1).numpy()
-        return dict(zip(self.card.categories, unit, strict=True))
+        return ReferenceLibrary(
+            backend=self.name,
+            dimensions=self.dimensions,
+            threshold=self.card.min_cosine,
+            calibrated=True,
+            references=tuple(
+                make_reference(
+                    feature, NO_PICTURE, category, episode="", frame=0, camera="", pixel=(0, 0),
+                    by="train_builtin", at=self.card.made_at,
+                )
+                for feature, category in zip(unit, self.card.categories, strict=True)
+            ),
+        )  # fmt: skip
 
     def maps(
         self,

@@ -7,27 +7,24 @@ tells them, else by clusters of the points themselves.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from codediffuser.datagen.episode_format import Camera
 from codediffuser.datagen.task import Task
 from codediffuser.datagen.task_config import ClusterConfig
 from codediffuser.labeling.perception.builtin import Perceived
-from codediffuser.labeling.perception.cloud import CloudFuser, WorldCloud
+from codediffuser.labeling.perception.cloud import EVEN_POINTS, CloudFuser, WorldCloud
 from codediffuser.labeling.perception.clustering import NOISE, cluster_config, cluster_points
 from codediffuser.labeling.perception.features import FeatureBackend, sample_map
+from codediffuser.labeling.perception.references import ReferenceLibrary, classify
 from codediffuser.labeling.perception.views import View, stack_views
 from codediffuser.labeling.perception.votes import gather_votes
 from codediffuser.pointcloud import farthest_point_indices
-
-BACKGROUND = "background"
-EVEN_POINTS = 8000
-"""Points that clusters without votes are looked for in."""
-"""Points this far apart are of one piece of an instance."""
 
 
 @runtime_checkable
@@ -55,26 +52,14 @@ class FoundInstance:
     middle_world: np.ndarray
     """(3,) float64, metres: as voted, or the mean of the points."""
     confidence: float
-    """Mean probability of the category over the points, in [0, 1]."""
-
-
-@dataclass(frozen=True, slots=True)
-class References:
-    """What features are compared with."""
-
-    vectors: Mapping[str, np.ndarray]
-    """Unit features (k, D) by category; those of `background` reject."""
-    min_cosine: float
-    """A less similar feature is of no category."""
-    scale: float = 16.0
-    """Of cosines in probabilities: those with which the backend was trained or calibrated."""
+    """Mean similarity of its points to the references of its category, in [0, 1]."""
 
 
 def find_instances(
     views: Sequence[View],
     task: Task,
     backend: FeatureBackend,
-    references: References,
+    library: ReferenceLibrary,
     categories: Sequence[str] | None = None,
 ) -> tuple[FoundInstance, ...]:
     """Find all instances that the views show in the task's workspace.
@@ -83,7 +68,7 @@ def find_instances(
         views: What the cameras see at one moment.
         task: Gives the workspace and the sizes of its categories.
         backend: Computes features.
-        references: What to look for; made with the same backend.
+        library: What to look for, of the same backend.
         categories: What to look for; None is what the task picks and where it places.
 
     Returns:
@@ -103,17 +88,17 @@ def find_instances(
         maps, middles = perceived.maps, _look_up(perceived.middles_world, cloud, views)
     else:
         maps = backend.maps(images, depth_m, cameras)
-    names, chance = _categories(_features(maps, cloud, views), references)
+    number, similarity = classify(_features(maps, cloud, views), library)
     found = []
     for category in categories or (task.pick_category, task.place_category):
-        mine = np.flatnonzero(names == category)
+        mine = np.flatnonzero(_is(category, number, library))
         sizes = cluster_config(task.config.labeling.clusters, category)
         instance = _part(
             cloud.points_world[mine], None if middles is None else middles[mine], sizes
         )
-        for number in range(instance.max(initial=-1) + 1):
-            chosen = mine[instance == number]
-            found.append(_instance(category, cloud, chosen, middles, chance))
+        for row in range(instance.max(initial=NOISE) + 1):
+            chosen = mine[instance == row]
+            found.append(_instance(category, cloud, chosen, middles, similarity))
     return tuple(found)
 
 
@@ -142,24 +127,11 @@ def _look_up(middles: np.ndarray, cloud: WorldCloud, views: Sequence[View]) -> n
     return found
 
 
-def _categories(features: np.ndarray, references: References) -> tuple[np.ndarray, np.ndarray]:
-    """Category (N,) str of each point, `background` for none, and its probability (N,)."""
-    names = list(references.vectors)
-    length = np.linalg.norm(features, axis=1, keepdims=True)
-    unit = features / np.maximum(length, 1e-9)
-    cosine = np.stack(
-        [
-            (unit @ np.atleast_2d(v).T.astype(np.float32)).max(axis=1)
-            for v in references.vectors.values()
-        ],
-        axis=1,
-    )
-    best = cosine.argmax(axis=1)
-    top = cosine.max(axis=1)
-    chance = 1 / np.exp(references.scale * (cosine - top[:, None])).sum(axis=1)
-    found = np.array(names)[best]
-    found[top < references.min_cosine] = BACKGROUND
-    return found, chance
+def _is(category: str, number: np.ndarray, library: ReferenceLibrary) -> np.ndarray:
+    """Which points (N,) bool were classified as a category."""
+    if category not in library.categories:
+        return np.zeros(len(number), dtype=bool)
+    return np.asarray(number == library.categories.index(category))
 
 
 def _part(points: np.ndarray, middles: np.ndarray | None, sizes: ClusterConfig) -> np.ndarray:
@@ -175,8 +147,6 @@ def _spread(
     points: np.ndarray, even: np.ndarray, instance: np.ndarray, sizes: ClusterConfig
 ) -> np.ndarray:
     """Give every point the instance of the nearest of the thinned ones."""
-    from scipy.spatial import cKDTree
-
     full = np.full(len(points), NOISE, dtype=np.int64)
     if (instance != NOISE).any():
         known = even[instance != NOISE]
@@ -191,7 +161,7 @@ def _instance(
     cloud: WorldCloud,
     chosen: np.ndarray,
     middles: np.ndarray | None,
-    chance: np.ndarray,
+    similarity: np.ndarray,
 ) -> FoundInstance:
     points = cloud.points_world[chosen]
     voted = points if middles is None else middles[chosen]
@@ -200,5 +170,5 @@ def _instance(
         points,
         cloud.rgb[chosen] if cloud.rgb is not None else np.zeros((len(chosen), 3), np.uint8),
         np.median(voted, axis=0).astype(np.float64),
-        float(chance[chosen].mean()),
+        float(np.clip(similarity[chosen].mean(), 0, 1)),
     )

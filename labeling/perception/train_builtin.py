@@ -18,6 +18,7 @@ from typing import Annotated
 import tyro
 
 from codediffuser.datagen.task import TASKS, get_task
+from codediffuser.labeling.label import utc_now
 from codediffuser.labeling.perception.builtin import WEIGHTS, Card, card_path, save_weights
 from codediffuser.labeling.perception.builtin_samples import Sample, draw_samples
 from codediffuser.labeling.perception.builtin_targets import CATEGORIES
@@ -79,6 +80,7 @@ def train_builtin(
         command=shlex.join(["python", "-m", __spec__.name, *sys.argv[1:]]),
         recipe=dataclasses.asdict(config),
         scenes={**dict.fromkeys(tasks, scenes), "held_out": len(held_out)},
+        made_at=utc_now(),
         minutes=round(minutes, 1),
         scores=scores,
     )
