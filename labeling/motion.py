@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from codediffuser.datagen.episode import Episode
+from codediffuser.datagen.task import get_task
 from codediffuser.errors import EpisodeError, LabelError
 from codediffuser.labeling.label import AttentionLabel
+
+if TYPE_CHECKING:
+    from codediffuser.labeling.perception.tracking import Track
+
+FOUND = "found_"
+"""Begins the ids of instances that perception found; the simulator has no object of such a name."""
 
 
 class RecordedMotion:
     """Poses of the followed objects at each frame of an episode.
 
+    Objects that perception found are tracked through the pictures, since no simulator knows them;
+    where cameras and hand poses allow it, real recordings work too.
+
     Args:
         episode: Where the poses were recorded; its simulator states are read only when some label
-            follows an object.
+            follows one of the simulator's objects.
         labels: Labels of that episode.
 
     Raises:
@@ -25,7 +38,9 @@ class RecordedMotion:
 
     def __init__(self, episode: Episode, labels: Sequence[AttentionLabel]) -> None:
         self._episode = episode
-        self._ids = sorted({label.follows for label in labels if label.follows is not None})
+        followed = {label.follows: label for label in labels if label.follows is not None}
+        self._tracked = {i: _track(episode, f) for i, f in followed.items() if i.startswith(FOUND)}
+        self._ids = sorted(i for i in followed if i not in self._tracked)
         if not self._ids:
             return
         try:
@@ -44,4 +59,26 @@ class RecordedMotion:
 
     def at(self, frame: int) -> dict[str, np.ndarray]:
         """Pose (4, 4) float64 in the world of each followed object at one frame, by id."""
-        return {name: self._episode.trajectory.T_world_object(name, frame) for name in self._ids}
+        poses = {name: self._episode.trajectory.T_world_object(name, frame) for name in self._ids}
+        return poses | {name: track.T_now_start[frame] for name, track in self._tracked.items()}
+
+    def confidence(self, frame: int) -> float:
+        """How sure the poses at one frame are, in [0, 1]: those of the simulator are."""
+        return min([1.0, *(float(track.confidence[frame]) for track in self._tracked.values())])
+
+
+def _track(episode: Episode, label: AttentionLabel) -> Track:
+    """Track the points of a label; the last few tracks are kept, for one takes seconds."""
+    points = np.ascontiguousarray(label.points_world, dtype=np.float32)
+    return _kept_track(episode.folder, episode.manifest.content_hash, label.category,
+                       points.tobytes())  # fmt: skip
+
+
+@functools.lru_cache(maxsize=16)
+def _kept_track(folder: Path, content_hash: str, category: str, points: bytes) -> Track:
+    from codediffuser.labeling.perception.instances import looking_for
+    from codediffuser.labeling.perception.tracking import track_object
+
+    episode = Episode.open(folder)
+    cloud = np.frombuffer(points, dtype=np.float32).reshape(-1, 3)
+    return track_object(episode, cloud, looking_for(category, get_task(episode.manifest.task)))

@@ -7,7 +7,7 @@ scene file. What has been put away already is told from what waits by what stand
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from codediffuser.datagen.episode import Episode
 from codediffuser.datagen.task import Task
 from codediffuser.labeling.instances import INSTANCE_SOURCES, SelectableInstance
+from codediffuser.labeling.motion import FOUND
 from codediffuser.labeling.perception.builtin import BuiltinFeatures
 from codediffuser.labeling.perception.color_names import color_name
 from codediffuser.labeling.perception.features import get_features
@@ -78,6 +79,18 @@ class FeaturesSource:
         return find_instances(views, task, self._backend, self._library)
 
 
+def looking_for(category: str, task: Task) -> Callable[[Sequence[View]], list[FoundInstance]]:
+    """What a tracker asks for the instances of a category in one frame."""
+    source = shared_source()
+    return lambda views: [f for f in source.found(views, task) if f.category == category]
+
+
+@functools.cache
+def shared_source() -> FeaturesSource:
+    """The process's own, with the shipped network."""
+    return FeaturesSource()
+
+
 def selectable(found: Sequence[FoundInstance], task: Task) -> tuple[SelectableInstance, ...]:
     """Turn what was found into what can be chosen: objects that wait, and all places."""
     objects = [f for f in found if f.category == task.pick_category]
@@ -86,7 +99,7 @@ def selectable(found: Sequence[FoundInstance], task: Task) -> tuple[SelectableIn
     names = [f"{color_name(o.rgb)} {o.category}" for o in objects]
     chosen = []
     for index in arranged.waiting:
-        thing, name = objects[index], f"{objects[index].category}_{index}"
+        thing, name = objects[index], f"{FOUND}{objects[index].category}_{index}"
         chosen.append(
             SelectableInstance(
                 name, thing.category, names[index], "pick", thing.points_world, follows=name,
@@ -97,7 +110,7 @@ def selectable(found: Sequence[FoundInstance], task: Task) -> tuple[SelectableIn
         taker = arranged.taken_by.get(index)
         chosen.append(
             SelectableInstance(
-                f"{place.category}_{index:02d}", place.category, place.category, "place",
+                f"{FOUND}{place.category}_{index:02d}", place.category, place.category, "place",
                 place.points_world, taken_by="" if taker is None else names[taker],
                 confidence=place.confidence,
             )
