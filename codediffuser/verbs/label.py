@@ -7,12 +7,15 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
 from codediffuser.errors import ConfigError, LabelError
 from codediffuser.verbs.verb import Verb, console, track
+
+if TYPE_CHECKING:
+    from codediffuser.labeling.gui.reference_book import ReferenceBook
 
 TOKEN_VARIABLE = "CODEDIFFUSER_LABEL_TOKEN"
 
@@ -45,6 +48,12 @@ class Label(Verb):
     """Who finds the instances to choose from."""
     prelabel: Literal["ground truth", "features", "language"] | None = None
     """Begin every episode with a proposal to accept or correct."""
+    features: str | None = None
+    """Backend whose reference features are collected by clicking in pictures (key I): dinov2."""
+    weights: Path | None = None
+    """Weights of that backend; its own place when left out."""
+    references: Path | None = None
+    """Library file of the references; RUN/labeling/references/BACKEND.json when left out."""
     host: str = "127.0.0.1"
     """Address to serve at. Any but this machine's requires a token, see the error message."""
     port: int = 8080
@@ -72,7 +81,12 @@ class Label(Verb):
 
         token = os.environ.get(TOKEN_VARIABLE)
         check_access(self.host, token)
-        desk = Desk(self.run_folder, source=self.source, prelabel=self.prelabel)
+        desk = Desk(
+            self.run_folder,
+            source=self.source,
+            prelabel=self.prelabel,
+            references=self._reference_book(),
+        )
         name = self.operator or getpass.getuser()
         app = LabelApp(desk, operator=name, host=self.host, port=self.port, token=token)
         console.print(f"Labeling {self.run_folder} at {app.url}; stop with Ctrl+C", markup=False)
@@ -87,6 +101,19 @@ class Label(Verb):
         except KeyboardInterrupt:
             app.close()
         return str(self.run_folder / "episodes")
+
+    def _reference_book(self) -> ReferenceBook | None:
+        from codediffuser.labeling.gui.reference_book import ReferenceBook
+        from codediffuser.labeling.perception.features import FeatureOptions, check_backend
+
+        if self.features is None:
+            if self.weights is not None or self.references is not None:
+                raise ConfigError("--weights and --references need --features NAME")
+            return None
+        check_backend(self.features)
+        own = self.run_folder / "labeling" / "references" / f"{self.features}.json"
+        options = FeatureOptions(weights=self.weights)
+        return ReferenceBook(self.features, self.references or own, options)
 
     def _label_automatically(self) -> Path:
         from codediffuser.datagen.episode import list_episodes

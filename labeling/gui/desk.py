@@ -12,6 +12,7 @@ from codediffuser.datagen.episode_format import EPISODES
 from codediffuser.errors import EpisodeError
 from codediffuser.labeling.gui.episode_scene import EpisodeScene, SceneCache, load_scene
 from codediffuser.labeling.gui.journal import Journal
+from codediffuser.labeling.gui.reference_book import ReferenceBook
 from codediffuser.labeling.index import Filter, LabelIndex, index_row, load_index
 from codediffuser.labeling.instances import get_instance_source
 from codediffuser.labeling.leases import LeaseBook
@@ -27,6 +28,7 @@ class Desk:
         run: Run folder with episodes.
         source: Registered name of who finds the instances.
         prelabel: Registered name of a proposal that new drafts begin with; None for an empty one.
+        references: Where reference mode keeps features; None for no such mode.
         clock: Unix time in seconds.
 
     Raises:
@@ -40,11 +42,13 @@ class Desk:
         *,
         source: str = "oracle",
         prelabel: str | None = None,
+        references: ReferenceBook | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         if not list_episodes(run):
             raise EpisodeError(f"{run}: no episodes to label; run `codediffuser demo {run}` first")
         self.run, self.prelabel, self.clock = run, prelabel, clock
+        self.references = references
         found_by = get_instance_source(source)
         self.scenes = SceneCache(lambda folder: load_scene(folder, found_by))
         self.leases = LeaseBook(run, clock)

@@ -11,7 +11,7 @@ from typing import Literal
 Action = Literal[
     "submit", "next", "previous", "undo", "redo", "clear", "skip", "flag", "unflag", "prelabel",
     "view_top", "view_camera", "view_3d", "reset_view", "accept", "reject", "keep_mine",
-    "take_theirs", "play", "help",
+    "take_theirs", "play", "references", "category", "help",
 ]  # fmt: skip
 
 
@@ -45,6 +45,8 @@ KEYS = (
     Key("reject", "L", "Review: reject with the comment in the text field, go to the next"),
     Key("keep_mine", "M", "After a refused submit: put mine on top"),
     Key("take_theirs", "O", "Go back to the saved labels"),
+    Key("references", "I", "Reference mode: a click keeps the feature of a pixel; again to leave"),
+    Key("category", "Z", "Reference mode: what the next click stands for"),
     Key("help", "H", "Show the keys"),
 )
 """Every command has one key, and no key has two."""

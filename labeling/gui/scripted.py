@@ -110,6 +110,11 @@ class ScriptedOperator:
         """Wait until the selection is saved as labels."""
         self._wait('[data-saved="labels"]')
 
+    def wait_for_references(self, **counts: int) -> None:
+        """Wait until reference mode says that it has just so many of each category."""
+        said = " ".join(f"{category}:{count}" for category, count in counts.items())
+        self._wait(f'[data-references="{said}"]')
+
     def wait_for(self, text: str) -> None:
         """Wait until the page says something."""
         self.page.get_by_text(text).first.wait_for()

@@ -36,6 +36,11 @@ class Stage:
         return self._view if isinstance(self._view, CloudView) else None
 
     @property
+    def photo(self) -> CameraView | None:
+        """The picture of a camera; None while another view is shown."""
+        return self._view if isinstance(self._view, CameraView) else None
+
+    @property
     def selects(self) -> bool:
         """Whether targets can be chosen in the view; 3D is only looked at."""
         return self._view is not None and self._view.plane is not None

@@ -19,6 +19,7 @@ from codediffuser.labeling.gui.keys import Action
 from codediffuser.labeling.gui.panels import Panel, PanelCalls
 from codediffuser.labeling.gui.planes import screen_ray
 from codediffuser.labeling.gui.reel import Reel
+from codediffuser.labeling.gui.reference_tool import ReferenceTool
 from codediffuser.labeling.gui.session import Session
 from codediffuser.labeling.gui.stage import Stage
 from codediffuser.labeling.gui.views import ClientHandle
@@ -48,6 +49,9 @@ class Tab:
         )
         self._panel = Panel(client, calls, self._prelabel)
         self._stage = Stage(client)
+        self._references = ReferenceTool(
+            client, self._stage, session.desk.references, session.operator
+        )
         self._reel = Reel(session, self._panel, self._stage, self._post)
         client.scene.on_click()(cast(Any, self._on_click))
         client.scene.on_rect_select()(cast(Any, self._on_box))
@@ -106,6 +110,9 @@ class Tab:
         self._show_episode()
 
     def _click(self, origin: np.ndarray, direction: np.ndarray) -> None:
+        if self._references.active and self.session.scene is not None:
+            self._say(self._references.click(self.session.scene, origin, direction))
+            return
         began = time.perf_counter()
         instance = self._stage.pick(origin, direction)
         if instance is None:
@@ -121,7 +128,7 @@ class Tab:
 
     def _box(self, origin: np.ndarray, first: np.ndarray, second: np.ndarray) -> None:
         found = self._stage.inside(origin, first, second)
-        if found:
+        if found and not self._references.active:
             self.session.select_box(found)
             self._refresh()
 
@@ -136,6 +143,13 @@ class Tab:
                 self._forward()
             case "previous":
                 self._move(-1)
+            case "undo" if self._references.active:
+                self._message = self._references.undo(session.scene)
+            case "references":
+                self._references.toggle(session.scene)
+                self._lock_orbit()
+            case "category":
+                self._references.next_category(session.scene)
             case "undo":
                 session.undo()
             case "redo":
@@ -209,11 +223,13 @@ class Tab:
     def _show_episode(self) -> None:
         self._reel.rewind()
         self._stage.show(self.session.scene, self.session.draft.selection)
+        self._references.refresh(self.session.scene)
         self._lock_orbit()
         self._refresh()
 
     def _switch(self, kind: str) -> None:
         self._stage.switch(kind, self.session.draft.selection)
+        self._references.refresh(self.session.scene)
         self._lock_orbit()
 
     def _lock_orbit(self) -> None:

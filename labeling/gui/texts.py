@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import html
+from collections.abc import Sequence
 
 from codediffuser.labeling.gui.draft import missing, next_role
 from codediffuser.labeling.gui.keys import KEYS
 from codediffuser.labeling.gui.session import Session
+from codediffuser.labeling.perception.references import ReferenceLibrary
+
+_SIGNS = frozenset("&<>\"'`*_[]()!#|~\\{}$:")
+"""What HTML or markdown could read as markup."""
 
 _ROLE_COLORS = {"pick": "#ff4d00", "place": "#ff4d00"}
 
@@ -16,8 +20,7 @@ def escape(text: object) -> str:
 
     Markdown passes entities through, so its own signs are written as entities too.
     """
-    escaped = html.escape(str(text), quote=True)
-    return "".join(f"&#{ord(c)};" if c in "`*_[]()!#|~\\{}$:" else c for c in escaped)
+    return "".join(f"&#{ord(c)};" if c in _SIGNS else c for c in str(text))
 
 
 def headline(session: Session) -> str:
@@ -100,6 +103,29 @@ def notes(session: Session, message: str) -> str:
         lines.append(_box(f"rejected: {document.reviews[-1].comment}", "#fff5f5", "#c92a2a"))
     lines += [_box(text, "#fff9db", "#e67700") for text in session.warnings()]
     return "".join(lines)
+
+
+def reference_line(
+    library: ReferenceLibrary | None, backend: str, categories: Sequence[str], chosen: str
+) -> str:
+    """Reference mode: what a click stands for, and what the library holds."""
+    counts = {c: library.count(c) if library else 0 for c in categories}
+    said = " &middot; ".join(
+        f"<b>{escape(c)}: {n}</b>" if c == chosen else f"{escape(c)}: {n}"
+        for c, n in counts.items()
+    )
+    threshold = ""
+    if library is not None:
+        how = "calibrated" if library.calibrated else "default"
+        threshold = f"<br>similarity that counts: {library.threshold:.2f}, {how}"
+    state = " ".join(f"{c}:{n}" for c, n in counts.items())
+    return (
+        f'<div data-references="{escape(state)}" '
+        f'data-category="{escape(chosen)}" '
+        'style="background:#e6fcf5;color:#087f5b;border-radius:6px;padding:4px 8px;margin:2px 10px;'
+        f'font-size:12px">Reference mode, {escape(backend)}: a click keeps the pixel as '
+        f"<b>{escape(chosen)}</b> (Z changes it, U takes back, I leaves)<br>{said}{threshold}</div>"
+    )
 
 
 def keys_table() -> str:

@@ -38,6 +38,9 @@ CELL_SHARE = 1 / 110
 HOVER_M = 0.010
 """How near to an instance the mouse lights it up, seen from above."""
 
+MARK_SHARE = 0.012
+"""Size of a reference's dot, as a share of the picture's height."""
+
 HOVER_SHARE = 0.02
 """The same in a picture, as a share of its height."""
 
@@ -159,6 +162,8 @@ class CameraView:
             receive_shadow=False, wxyz=matrix_to_quat_wxyz(shot.T_world_camera[:3, :3]),
             position=plane.to_world(middle)[0],
         )  # fmt: skip
+        self._client = client
+        self._marks: Any = None
         self._lines: dict[str, tuple[Any, bool]] = {}
         for number, instance in enumerate(scene.instances):
             lines = _outline(self.picker.points[self.picker.owner == number], plane)
@@ -181,6 +186,19 @@ class CameraView:
             on = name in chosen
             lines.colors = np.array(GREEN if on else GREY if taken else WHITE, np.uint8)
             lines.thickness = 4.0 if on else 0.8 if taken else 1.5
+
+    def mark(self, pixels: np.ndarray, rgb: np.ndarray) -> None:
+        """Put dots of colours (N, 3) uint8 on pixels (N, 2), in place of those before."""
+        if self._marks is not None:
+            self._marks.remove()
+            self._marks = None
+        if len(pixels):
+            assert isinstance(self.plane, PicturePlane)
+            self._marks = self._client.scene.add_point_cloud(
+                "/photo/marks", self.plane.before(pixels, 0.99).astype(np.float32), rgb,
+                point_size=MARK_SHARE * self.plane.size_m[1], point_shape="circle",
+                point_shading="flat", precision="float32",
+            )  # fmt: skip
 
     def viewpoint(self, aspect: float) -> Viewpoint:
         """From where the camera stood."""

@@ -59,7 +59,7 @@ class DinoV2:
         self.weights = weights
         self.device = device
         self.cell_px = cell_px
-        self._model = _load(weights).to(device).eval()
+        self._model = _load(weights, device, _stamp(weights))
 
     @property
     def name(self) -> str:
@@ -76,7 +76,7 @@ class DinoV2:
     @property
     def fingerprint(self) -> str:
         """Changes with whatever else than the pictures decides the maps."""
-        return f"{self.name} {self.cell_px} {_file_hash(self.weights)}"
+        return f"{self.name} {self.cell_px} {_file_hash(self.weights, _stamp(self.weights))}"
 
     def maps(
         self,
@@ -146,8 +146,12 @@ def find_weights(variants: Sequence[str]) -> Path:
     )
 
 
-def _load(weights: Path) -> Any:
-    """Build the transformer that the weights are of, with dynamic picture size."""
+@functools.lru_cache(1)
+def _load(weights: Path, device: str, stamp: object) -> Any:
+    """Build the transformer that the weights are of, with dynamic picture size; kept once built.
+
+    `stamp` changes with the file, so that another one under the same name is another network.
+    """
     try:
         from timm.models import load_state_dict
         from timm.models.vision_transformer import VisionTransformer, checkpoint_filter_fn
@@ -166,7 +170,7 @@ def _load(weights: Path) -> Any:
             f"{weights}: these are no weights of a DINOv2 ViT-S, B or L in Meta's or timm's form "
             f"({type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''})"
         ) from None
-    return model
+    return model.to(device).eval()
 
 
 def _architecture(state: dict[str, Any]) -> dict[str, Any]:
@@ -192,8 +196,16 @@ def _architecture(state: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _stamp(path: Path) -> tuple[int, int]:
+    """Changes when a file is written anew; (0, 0) for none."""
+    if not path.is_file():
+        return 0, 0
+    found = path.stat()
+    return found.st_mtime_ns, found.st_size
+
+
 @functools.cache
-def _file_hash(path: Path) -> str:
+def _file_hash(path: Path, stamp: object) -> str:
     return sha256_file(path)
 
 

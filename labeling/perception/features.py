@@ -79,7 +79,7 @@ class FeatureOptions:
 
 FEATURES: Registry[Callable[[FeatureOptions], FeatureBackend]] = Registry("feature backend")
 
-BACKEND_MODULES = ("oracle_features", "dinov2")
+BACKEND_MODULES = ("builtin", "oracle_features", "dinov2")
 """Modules of this folder that fill `FEATURES` when imported; they import torch only when used."""
 
 
@@ -95,9 +95,15 @@ def get_features(name: str, options: FeatureOptions | None = None) -> FeatureBac
         SetupError: The backend's weights or packages are missing; the message says where to put
             them.
     """
+    check_backend(name)
+    return FEATURES.get(name)(options or FeatureOptions())
+
+
+def check_backend(name: str) -> None:
+    """Raise `NotRegisteredError` unless a backend has this name; build nothing."""
     for module in BACKEND_MODULES:
         importlib.import_module(f"codediffuser.labeling.perception.{module}")
-    return FEATURES.get(name)(options or FeatureOptions())
+    FEATURES.get(name)
 
 
 def point_features(

@@ -96,15 +96,18 @@ class ReferenceLibrary(Document):
         """The library with one more reference, calibrated anew."""
         return self._calibrated((*self.references, reference))
 
-    def without_last(self) -> ReferenceLibrary:
-        """The library without the reference that came last, calibrated anew.
+    def without(self, reference: Reference) -> ReferenceLibrary:
+        """The library without one of its references, calibrated anew.
 
         Raises:
-            LabelError: There is none.
+            LabelError: It is not in the library.
         """
-        if not self.references:
-            raise LabelError("there is no reference to take away")
-        return self._calibrated(self.references[:-1])
+        kept = [r for r in self.references if r is not reference]
+        if len(kept) == len(self.references):
+            raise LabelError(
+                f"the library has no such reference of '{reference.category}' at {reference.pixel}"
+            )
+        return self._calibrated(kept)
 
     def _calibrated(self, references: Sequence[Reference]) -> ReferenceLibrary:
         changed = self.model_copy(update={"references": tuple(references)})
