@@ -21,7 +21,11 @@ from codediffuser.datagen.scene_sampler import SceneSource
 from codediffuser.datagen.task import get_task
 from codediffuser.errors import BelowTargetError, CodeDiffuserError
 from codediffuser.labeling.language.grounding import ground
+from codediffuser.labeling.language.sandbox import Limits
 from codediffuser.labeling.language.simulated import simulated_provider
+
+LIMITS = Limits(seconds=10.0)
+"""A program takes milliseconds; the margin keeps results the same on a machine that is busy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,9 @@ def ground_scenes(
     for index in range(scenes):
         scene = source.draw(index)
         try:
-            found = ground(scene.instruction.text, simulated_provider(scene, task=chosen))
+            found = ground(
+                scene.instruction.text, simulated_provider(scene, task=chosen), limits=LIMITS
+            )
         except CodeDiffuserError as error:
             yield GroundedScene(scene, None, str(error))
         else:
