@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -119,14 +119,7 @@ def record_scenes(
     jobs: Sequence[DemoJob], options: CollectOptions, *, workers: int = 1
 ) -> Iterator[DemoResult]:
     """Work off scenes in processes of their own; one that dies or hangs is a counted failure."""
-    outcomes = run_tasks(
-        record_demo,
-        jobs,
-        workers=workers,
-        timeout_s=options.timeout_s,
-        recycle_after=options.recycle_after,
-    )
-    for outcome in outcomes:
+    for outcome in _run(record_demo, jobs, options, workers):
         yield _take_in(outcome)
 
 
@@ -163,23 +156,31 @@ def rerender(
             yield DemoResult.of_episode(episode.manifest, earlier=True)
         else:
             jobs.append(DemoJob(run, episode.folder.name, options.pictures))
-    outcomes = run_tasks(
-        rerender_episode,
+    try:
+        for outcome in _run(rerender_episode, jobs, options, workers):
+            if outcome.value is None:
+                raise EpisodeError(
+                    f"{outcome.task.folder}: no pictures after {outcome.tries} tries "
+                    f"({outcome.reason}); the older ones are still there"
+                )
+            yield outcome.value
+    finally:
+        _remove_leftovers(run)
+
+
+def _run(
+    function: Callable[[DemoJob], DemoResult],
+    jobs: Sequence[DemoJob],
+    options: CollectOptions,
+    workers: int,
+) -> Iterator[Outcome[DemoJob, DemoResult]]:
+    return run_tasks(
+        function,
         jobs,
         workers=workers,
         timeout_s=options.timeout_s,
         recycle_after=options.recycle_after,
     )
-    try:
-        for outcome in outcomes:
-            if outcome.value is None:
-                raise EpisodeError(
-                    f"{outcome.task.folder}: no pictures after {outcome.tries} tries "
-                    f"({_last_line(outcome.error)}); the older ones are still there"
-                )
-            yield outcome.value
-    finally:
-        _remove_leftovers(run)
 
 
 def _remove_leftovers(run: Path) -> None:
@@ -252,7 +253,7 @@ def _take_in(outcome: Outcome[DemoJob, DemoResult]) -> DemoResult:
         scene_sha256=sha256_file(job.scene_file),
         cause="process",
         phase=f"process:{outcome.fate}",
-        reason=_last_line(outcome.error),
+        reason=outcome.reason,
         tries=outcome.tries,
     )
     failure.save(path)
@@ -275,7 +276,3 @@ def _pictures_fit(episode: Episode, options: PictureOptions) -> bool:
         and np.allclose(camera.T_world_camera, poses[name][1])
         for name, camera in episode.cameras.items()
     )
-
-
-def _last_line(error: str) -> str:
-    return error.rsplit("\n", 1)[-1]

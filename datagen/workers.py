@@ -48,6 +48,11 @@ class Outcome(Generic[T, R]):
     fate: Fate = ""
     """What kind of error the last try ended with."""
 
+    @property
+    def reason(self) -> str:
+        """The error in one line: of a trace the last."""
+        return self.error.rsplit("\n", 1)[-1]
+
 
 def run_tasks(
     function: Callable[[T], R],
@@ -239,6 +244,8 @@ def _answer(function: Callable[[Any], Any], task: Any) -> _Message:
     except CodeDiffuserError as error:
         return _Message(user_error=error)
     except Exception:
+        # Anything may go wrong in a task. Nothing is swallowed: the trace becomes the outcome's
+        # error, and the parent logs it, replaces this process and tries the task once more.
         return _Message(error=traceback.format_exc().strip())
 
 

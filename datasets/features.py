@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from codediffuser.datagen.episode_format import CameraRecord, MotionRecord
-from codediffuser.datagen.trajectory import ACTION_NAMES
 
 POINTS = "observation.points"
 """(N * C,) float32: N points of C = 5 channels, row by row, see `POINT_CHANNELS`."""
@@ -33,8 +32,6 @@ the sentence."""
 
 POINT_CHANNELS = ("x", "y", "z", "attention_pick", "attention_place")
 """World metres, then attention in [0, 1] for each role."""
-
-STATE_NAMES = ACTION_NAMES
 
 
 def image_key(camera: str) -> str:

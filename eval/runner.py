@@ -198,14 +198,12 @@ def _lost(plan: EvalPlan, outcome: Outcome[Job, RolloutResult]) -> RolloutResult
     """Count a rollout whose process gave no answer."""
     source = source_for(plan.settings.attention, plan.settings.language_model)
     scene = plan.scene(plan.task_object(), outcome.task.index)
-    reason = outcome.error.strip().splitlines()[-1] if outcome.error.strip() else "no answer"
     _log.error("rollout %s: %s", scene.scene_id, outcome.error)
-    raised = outcome.error.startswith("Traceback")
     return RolloutResult(
         **scene_facts(scene, source.judged_pairs(scene)),
         attention=AttentionRecord(),
-        failure="worker:error" if raised else "worker:died",
-        detail=f"after {outcome.tries} tries: {reason}",
+        failure="worker:error" if outcome.fate == "error" else "worker:died",
+        detail=f"after {outcome.tries} tries: {outcome.reason}",
     )
 
 

@@ -45,4 +45,5 @@ def _work(
             run_shard(task)
             ended.put((task, None))
         except Exception as error:
+            # A thread's error ends nothing by itself: the caller of `run` is given it.
             ended.put((task, error))

@@ -109,7 +109,8 @@ def _run_rounds(
                 held_s = max(held_s, error.left_s)
             elif isinstance(error, CodeDiffuserError) and not isinstance(error, LeaseLostError):
                 raise error
-            _log.warning("shard %s is given out again: %s", task.shard_id, error)
+            bug = None if isinstance(error, CodeDiffuserError) else error
+            _log.warning("shard %s is given out again: %s", task.shard_id, error, exc_info=bug)
         if not failed:
             return
         waiting = failed

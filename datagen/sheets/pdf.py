@@ -40,11 +40,6 @@ class Sheet:
     contents: tuple[Placed, ...]
 
 
-def sheet_of(page: Page) -> Sheet:
-    """A sheet as large as the page that it shows."""
-    return Sheet(page.width, page.height, (Placed(page, 0, 0),))
-
-
 def pdf_bytes(sheets: Iterable[Sheet], title: str) -> bytes:
     """Write sheets as one document; the same sheets give the same bytes.
 

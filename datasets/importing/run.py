@@ -169,8 +169,7 @@ def _work(tasks: Sequence[_Task], workers: int) -> Iterator[ImportResult]:
         if outcome.value is not None:
             yield outcome.value
         else:
-            reason = outcome.error.rsplit("\n", 1)[-1]
-            yield ImportResult(outcome.task.job, "refused", f"process: {reason}")
+            yield ImportResult(outcome.task.job, "refused", f"process: {outcome.reason}")
 
 
 class _Opened:

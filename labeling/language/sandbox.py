@@ -189,6 +189,7 @@ class _Host:
                 return [int(index) for index in self.api.find_instance_in_category(*words)]
             found = self.api.detect(*words) if method == "detect" else self.api.get_obj(*words)
         except BaseException as error:
+            # Ctrl-C too: the sandbox would make an error of the program's of it. Raised outside.
             self.failure = error
             raise RuntimeError(f"self.{method} failed") from None
         return [self._handle(instance) for instance in found]

@@ -13,7 +13,7 @@ import pytest
 from codediffuser.datagen.drawing import Drawing
 from codediffuser.datagen.sheets.layout import lay_out, wrap
 from codediffuser.datagen.sheets.page import Outline, Page, Round, Words, box, text_width
-from codediffuser.datagen.sheets.pdf import Placed, Sheet, pdf_bytes, sheet_of
+from codediffuser.datagen.sheets.pdf import Placed, Sheet, pdf_bytes
 from codediffuser.datagen.sheets.raster import png_bytes, render
 from codediffuser.datagen.sheets.svg import svg_bytes
 
@@ -23,6 +23,11 @@ DPI = 144
 
 def by_raster(page: Page) -> np.ndarray:
     return np.array(render(page, DPI))
+
+
+def sheet_of(page: Page) -> Sheet:
+    """A sheet as large as the page that it shows."""
+    return Sheet(page.width, page.height, (Placed(page, 0, 0),))
 
 
 def by_pdf(page: Page) -> np.ndarray:
