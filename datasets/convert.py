@@ -12,16 +12,16 @@ import contextlib
 import fcntl
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from codediffuser.datagen.episode import list_episodes, load_manifest
 from codediffuser.datagen.episode_format import EpisodeManifest
 from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.datasets.export_meta import DOCUMENT, INFO, OTHER_DOCUMENT, DatasetDocument
 from codediffuser.datasets.export_meta import ExportedEpisode as Exported
 from codediffuser.datasets.exporting.card import write_card
+from codediffuser.datasets.exporting.choice import Choice, choose_episodes
 from codediffuser.datasets.exporting.format import (
     ExportFormat,
     ExportOptions,
@@ -35,10 +35,10 @@ from codediffuser.datasets.exporting.jobs import (
     nothing_changed,
     plan_parts,
 )
+from codediffuser.datasets.exporting.source import labels_sha256
 from codediffuser.datasets.exporting.video import VideoConfig
 from codediffuser.errors import DatasetError
-from codediffuser.files import atomic_folder, remove_partials, sha256_file
-from codediffuser.labeling.store import LABELS as LABELS_FILE
+from codediffuser.files import atomic_folder, remove_partials
 from codediffuser.labeling.store import episode_sha256, has_labels, load_labels
 from codediffuser.manifest import git_commit, versions
 
@@ -68,6 +68,7 @@ def convert_run(
     config: CloudConfig | None = None,
     video: VideoConfig | None = None,
     workers: int = 1,
+    with_rejected: bool = False,
     overwrite: bool = False,
 ) -> Iterator[ConvertProgress]:
     """Export a run.
@@ -80,6 +81,7 @@ def convert_run(
         config: Sizes of the clouds; None for the defaults.
         video: Codec and quality; None for the defaults.
         workers: Processes.
+        with_rejected: Whether episodes whose labels a reviewer rejected are exported too.
         overwrite: Whether a folder at `out` that no convert wrote may be replaced.
 
     Yields:
@@ -97,13 +99,13 @@ def convert_run(
     )
     out = out or kind.default_out(run, chosen_profile)
     check_target(out, overwrite)
-    chosen, left_out = choose_episodes(run, needs_labels=options.needs_labels)
-    format = kind(options, labelled=any(has_labels(folder) for folder in chosen))
+    choice = choose_episodes(run, needs_labels=options.needs_labels, with_rejected=with_rejected)
+    format = kind(options, labelled=any(has_labels(folder) for folder in choice.chosen))
     kept_in = run / ".cache" / "convert"
     with _exclusive(kept_in, run):
         previous = find_previous(out, format)
-        jobs = plan_parts(list(chosen), format, kept_in, previous)
-        if nothing_changed(jobs, previous, left_out):
+        jobs = plan_parts(list(choice.chosen), format, kept_in, previous)
+        if nothing_changed(jobs, previous, choice):
             shutil.rmtree(kept_in, ignore_errors=True)
             for i, job in enumerate(jobs, start=1):
                 yield ConvertProgress(job.part.episode_folder.name, i, len(jobs), True)
@@ -112,42 +114,8 @@ def convert_run(
             yield ConvertProgress(name, i, len(jobs), reused)
         remove_partials(out.parent)
         with atomic_folder(out) as partial:
-            _write_export(partial, run, format, jobs, chosen, left_out)
+            _write_export(partial, run, format, jobs, choice)
         shutil.rmtree(kept_in, ignore_errors=True)
-
-
-def choose_episodes(
-    run: Path, *, needs_labels: bool = True
-) -> tuple[dict[Path, EpisodeManifest], list[str]]:
-    """Successful episodes of a run by folder, and the ids of those that did not succeed.
-
-    Args:
-        run: Run folder.
-        needs_labels: Whether a run in which no episode has labels is an error. One in which only
-            some have is always one.
-
-    Raises:
-        DatasetError: None succeeded, or some that did have no labels; the message lists them.
-    """
-    manifests = {folder: load_manifest(folder) for folder in list_episodes(run)}
-    chosen = {folder: m for folder, m in manifests.items() if m.success}
-    left_out = [m.id for m in manifests.values() if not m.success]
-    if not chosen:
-        raise DatasetError(
-            f"{run}: {len(left_out)} episodes, none of them successful; "
-            f"run `codediffuser demo {run}` first"
-        )
-    bare = [m.id for folder, m in chosen.items() if not has_labels(folder)]
-    if bare and (needs_labels or len(bare) < len(chosen)):
-        listed = ", ".join(bare[:8]) + (f" and {len(bare) - 8} more" if len(bare) > 8 else "")
-        raise DatasetError(
-            f"{run}: {len(bare)} of {len(chosen)} successful episodes have no labels: {listed}; "
-            f"run `codediffuser label {run} --auto`"
-        )
-    rates = sorted({m.hz for m in chosen.values()})
-    if len(rates) > 1:
-        raise DatasetError(f"{run}: episodes of several rates cannot share a dataset: {rates} Hz")
-    return chosen, left_out
 
 
 def check_target(out: Path, overwrite: bool) -> None:
@@ -169,11 +137,10 @@ def _write_export(
     run: Path,
     format: ExportFormat,
     jobs: Sequence[PartJob],
-    manifests: Mapping[Path, EpisodeManifest],
-    left_out: Sequence[str],
+    choice: Choice,
 ) -> None:
     """Join the parts, then describe the result for programs and for people."""
-    ordered = [manifests[job.part.episode_folder] for job in jobs]
+    ordered = [choice.chosen[job.part.episode_folder] for job in jobs]
     same_for_all(ordered, "rate in Hz", [m.hz for m in ordered])
     format.assemble(root, [job.part for job in jobs], ordered)
     document = DatasetDocument(
@@ -184,7 +151,9 @@ def _write_export(
         cloud=format.options.cloud if format.options.profile == "pointcloud" else None,
         source=run.resolve().name,
         episodes=tuple(_exported(i, job, ordered[i]) for i, job in enumerate(jobs)),
-        left_out=tuple(left_out),
+        left_out=tuple(choice.failed),
+        rejected=tuple(choice.rejected),
+        with_rejected=choice.with_rejected,
         versions=versions(),
         git_commit=git_commit(),
         content_sha256=format.fingerprint(root),
@@ -201,7 +170,7 @@ def _exported(index: int, job: PartJob, manifest: EpisodeManifest) -> Exported:
         frames=manifest.frames,
         episode_sha256=episode_sha256(manifest),
         labels_revision=load_labels(folder).revision if labelled else 0,
-        labels_sha256=sha256_file(folder / LABELS_FILE) if labelled else "",
+        labels_sha256=labels_sha256(folder) if labelled else "",
         part=job.part.key,
     )
 

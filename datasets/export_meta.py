@@ -50,7 +50,7 @@ class ExportedEpisode(Strict):
     labels_revision: int
     """0 for an episode without labels."""
     labels_sha256: str
-    """SHA-256 of `labels.json`, which names its points by hash; empty without labels."""
+    """SHA-256 of what the labels say, which names points by hash; empty without labels."""
     part: str = ""
     """`part_key`: hash of all that decided what the export holds of this episode."""
 
@@ -78,6 +78,10 @@ class DatasetDocument(Document):
     episodes: tuple[ExportedEpisode, ...]
     left_out: tuple[str, ...]
     """Ids of episodes that did not succeed."""
+    rejected: tuple[str, ...] = ()
+    """Ids of episodes that were left out since a reviewer rejected their labels."""
+    with_rejected: bool = False
+    """Whether such episodes were exported instead."""
     versions: dict[str, str]
     git_commit: str
     content_sha256: str

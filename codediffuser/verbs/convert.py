@@ -8,7 +8,7 @@ from typing import Literal
 
 import tyro
 
-from codediffuser.verbs.verb import Verb, track
+from codediffuser.verbs.verb import Verb, console, track
 
 
 @dataclass(kw_only=True)
@@ -38,23 +38,31 @@ class Convert(Verb):
     """Quality of videos: lower is better and larger."""
     workers: int = 1
     """Processes. The same bytes for any number."""
+    with_rejected: bool = False
+    """Also export episodes whose labels a reviewer rejected."""
     overwrite: bool = False
     """Replace a folder at --out that no convert wrote."""
 
     def run(self) -> Path:
         """Convert and return the folder of the dataset."""
-        from codediffuser.datasets.convert import choose_episodes, convert_run
+        from codediffuser.datasets.convert import convert_run
+        from codediffuser.datasets.exporting.choice import choose_episodes
         from codediffuser.datasets.exporting.format import format_for
         from codediffuser.datasets.exporting.video import VideoConfig
         from codediffuser.schema import parse_model
 
         kind, profile = format_for(self.to, self.profile)
         video = parse_model(VideoConfig, {"codec": self.codec, "crf": self.crf}, "--crf")
-        total = len(choose_episodes(self.run_folder, needs_labels=profile != "portable")[0])
+        choice = choose_episodes(
+            self.run_folder,
+            needs_labels=profile != "portable",
+            with_rejected=self.with_rejected,
+        )
         work = convert_run(
             self.run_folder, self.out, to=self.to, profile=profile, video=video,
-            workers=self.workers, overwrite=self.overwrite,
+            workers=self.workers, with_rejected=self.with_rejected, overwrite=self.overwrite,
         )  # fmt: skip
-        for _ in track(work, "convert", total):
+        for _ in track(work, "convert", len(choice.chosen)):
             pass
+        console.print(choice.summary, markup=False, soft_wrap=True)
         return self.out or kind.default_out(self.run_folder, profile)

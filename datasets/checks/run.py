@@ -13,9 +13,11 @@ from codediffuser.datagen.episode import Episode, list_episodes, load_manifest
 from codediffuser.datagen.episode_check import Finding, check_episode
 from codediffuser.datagen.episode_format import EPISODES, STATES
 from codediffuser.datasets.checks.dataset import check_dataset
-from codediffuser.datasets.export_meta import INFO, find_document
+from codediffuser.datasets.export_meta import INFO, ExportedEpisode, find_document
+from codediffuser.datasets.exporting.choice import is_rejected
+from codediffuser.datasets.exporting.source import labels_sha256
 from codediffuser.errors import CodeDiffuserError, ConfigError
-from codediffuser.files import TEMPORARY_PREFIX, sha256_file
+from codediffuser.files import TEMPORARY_PREFIX
 from codediffuser.labeling.label import AttentionLabel
 from codediffuser.labeling.store import LABELS, episode_sha256, has_labels, load_labels
 
@@ -126,7 +128,8 @@ def _check_export_is_current(run: Path, export: Path) -> Iterator[Finding]:
             if manifest.success:
                 manifests[manifest.id] = (folder, manifest)
     exported = {e.episode_id: e for e in document.episodes}
-    for name in sorted(set(manifests) ^ set(exported)):
+    away = {name for name in document.rejected if is_rejected(run / EPISODES / name)}
+    for name in sorted((set(manifests) ^ set(exported)) - away):
         what = "is not in the run" if name in exported else "is not in the dataset"
         yield Finding("export.episodes", str(export), f"episode {name} {what}", remedy)
     for name in sorted(set(manifests) & set(exported)):
@@ -134,8 +137,18 @@ def _check_export_is_current(run: Path, export: Path) -> Iterator[Finding]:
         if episode_sha256(manifest) != exported[name].episode_sha256:
             what = f"episode {name} was another one when converted"
             yield Finding("export.outdated", str(export), what, remedy)
-        elif not has_labels(folder) or (
-            sha256_file(folder / LABELS) != exported[name].labels_sha256
-        ):
+        elif _other_labels(folder, exported[name]):
             what = f"the labels of episode {name} changed since they were converted"
             yield Finding("export.outdated", str(export), what, remedy)
+        elif is_rejected(folder) and not document.with_rejected:
+            what = f"a reviewer rejected the labels of episode {name}, which was converted before"
+            yield Finding("export.outdated", str(export), what, remedy)
+
+
+def _other_labels(folder: Path, exported: ExportedEpisode) -> bool:
+    if not has_labels(folder):
+        return True
+    try:
+        return labels_sha256(folder) != exported.labels_sha256
+    except CodeDiffuserError:  # told by `check_labelled`
+        return True

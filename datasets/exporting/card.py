@@ -46,6 +46,24 @@ from mani_skill.trajectory.dataset import ManiSkillTrajectoryDataset
 
 dataset = ManiSkillTrajectoryDataset("{name}/trajectory.h5", success_only=True)
 ```""",
+    "rosbag2": """```
+ros2 bag info {name}/{first}
+ros2 bag play {name}/{first}
+```
+
+Without ROS:
+
+```python
+from pathlib import Path
+
+from rosbags.highlevel import AnyReader
+
+with AnyReader([Path("{name}/{first}")]) as bag:
+    for connection, time_ns, data in bag.messages():
+        message = bag.deserialize(data, connection.msgtype)
+```
+
+Foxglove opens the `.mcap` file in each folder.""",
 }
 
 
@@ -71,7 +89,8 @@ def write_card(
         _targets(folders) if labelled else "",
         _splits(document),
         _origin(document),
-        "## Open it\n\n" + OPEN_WITH.get(document.format, "").format(name=root_name(document)),
+        "## Open it\n\n"
+        + OPEN_WITH[document.format].format(name=root_name(document), first=manifests[0].id),
     ]
     write_text(root / CARD, "\n\n".join(section for section in sections if section) + "\n")
 
@@ -170,11 +189,13 @@ def _splits(document: DatasetDocument) -> str:
 def _origin(document: DatasetDocument) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in document.versions.items())
     left_out = ", ".join(document.left_out) or "none"
+    rejected = ", ".join(document.rejected) or "none"
     return (
         "## Origin\n\n"
         f"Run `{document.source}`, converted by codediffuser at commit `{document.git_commit}` "
         f"({versions}). Content SHA-256 `{document.content_sha256}`. "
-        f"Episodes left out because they did not succeed: {left_out}.\n\n"
+        f"Episodes left out because they did not succeed: {left_out}; because a reviewer rejected "
+        f"their labels: {rejected}.\n\n"
         "Licence: that of the recordings. Simulated scenes are procedural and carry no licence of "
         "their own; the robot model is ManiSkill's Panda."
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from codediffuser.datagen.episode import Episode
 from codediffuser.datagen.workers import run_tasks
 from codediffuser.datasets.export_meta import DatasetDocument
+from codediffuser.datasets.exporting.choice import Choice
 from codediffuser.datasets.exporting.format import ExportFormat
 from codediffuser.datasets.exporting.part import Part, code_fingerprint, part_key, seal
 from codediffuser.datasets.exporting.source import Source
@@ -135,10 +136,15 @@ def ensure_part(job: PartJob) -> bool:
 
 
 def nothing_changed(
-    jobs: Sequence[PartJob], previous: PreviousExport | None, left_out: Sequence[str]
+    jobs: Sequence[PartJob], previous: PreviousExport | None, choice: Choice
 ) -> bool:
     """Whether the previous export already is what would be written."""
     if previous is None:
         return False
-    keys = [episode.part for episode in previous.document.episodes]
-    return keys == [job.part.key for job in jobs] and previous.document.left_out == tuple(left_out)
+    document = previous.document
+    return (
+        [episode.part for episode in document.episodes] == [job.part.key for job in jobs]
+        and document.left_out == tuple(choice.failed)
+        and document.rejected == tuple(choice.rejected)
+        and document.with_rejected == choice.with_rejected
+    )

@@ -12,6 +12,7 @@ import numpy as np
 from codediffuser.datagen.episode import Episode, Frame
 from codediffuser.datagen.episode_format import Camera
 from codediffuser.errors import InstructionError, NotRegisteredError
+from codediffuser.files import sha256_json
 from codediffuser.labeling.attention import RADIUS_M, AttentionField
 from codediffuser.labeling.attention_2d import DILATION_PX, role_masks
 from codediffuser.labeling.motion import RecordedMotion
@@ -96,6 +97,11 @@ def labels_json(folder: Path) -> str:
     for key in NOT_EXPORTED:
         document.pop(key, None)
     return json.dumps(document, sort_keys=True, separators=(",", ":"))
+
+
+def labels_sha256(folder: Path) -> str:
+    """Hash of what the labels of an episode say; reviews and flags do not change it."""
+    return sha256_json(labels_json(folder))
 
 
 def program_text(instruction: str, task: str) -> str:

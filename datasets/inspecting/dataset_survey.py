@@ -12,7 +12,7 @@ import numpy as np
 from codediffuser.datagen.episode_format import EPISODES, SCENE
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datasets import parquet_reader
-from codediffuser.datasets.export_meta import find_document, load_info
+from codediffuser.datasets.export_meta import DatasetDocument, find_document, load_info
 from codediffuser.datasets.features import (
     ACTION,
     EPISODE_ID,
@@ -37,6 +37,7 @@ from codediffuser.errors import CodeDiffuserError
 
 PARTS = {"tables": "data", "videos": "videos", "meta": "meta", "card": "card"}
 LEFT_OUT = "left out of the export: no success"
+REJECTED = "left out of the export: labels rejected"
 OWN_FEATURES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -81,8 +82,13 @@ def survey_dataset(root: Path) -> Survey:
         bytes_by_part={
             part: size for part, name in PARTS.items() if (size := bytes_below([root / name]))
         },
-        failed={LEFT_OUT: len(document.left_out)} if document and document.left_out else {},
+        failed=_left_out(document) if document else {},
     )
+
+
+def _left_out(document: DatasetDocument) -> dict[str, int]:
+    counts = {LEFT_OUT: len(document.left_out), REJECTED: len(document.rejected)}
+    return {why: count for why, count in counts.items() if count}
 
 
 def dataset_motion(root: Path, *, moments: int = 60, most: int = 64) -> Motion | None:

@@ -201,6 +201,7 @@ def _document(out: Path, sources: Sequence[Source]) -> DatasetDocument:
             "source": ", ".join(document.source for document in documents),
             "episodes": tuple(episodes),
             "left_out": tuple(name for document in documents for name in document.left_out),
+            "rejected": tuple(name for document in documents for name in document.rejected),
             "versions": versions(),
             "git_commit": git_commit(),
             "content_sha256": dataset_fingerprint(out),

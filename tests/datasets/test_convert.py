@@ -28,10 +28,13 @@ from codediffuser.datasets.export_meta import (
     dataset_fingerprint,
     load_dataset_document,
 )
+from codediffuser.datasets.exporting.choice import choose_episodes
 from codediffuser.datasets.features import ACTION, EPISODE_ID, LABELS, POINTS, STATE
 from codediffuser.datasets.validate import validate
 from codediffuser.errors import ConfigError, DatasetError, SchemaVersionError
 from codediffuser.labeling.attention import AttentionField
+from codediffuser.labeling.label_document import Verdict
+from codediffuser.labeling.marks import add_review
 from codediffuser.labeling.motion import RecordedMotion
 from codediffuser.labeling.store import load_labels, save_labels
 
@@ -40,6 +43,12 @@ def convert(run: Path, *args: object, **options: object) -> Path:
     for _ in convert_run(run, *args, **options):  # type: ignore[arg-type]
         pass
     return run / "lerobot"
+
+
+def review(run: Path, episode_id: str, verdict: Verdict) -> None:
+    add_review(
+        run / "episodes" / episode_id, verdict, "wrong slot", by="anna", at="", expected_revision=1
+    )
 
 
 def read(root: Path) -> dict[str, list[object]]:
@@ -141,6 +150,37 @@ def test_failed_episodes_are_left_out_by_name(
     document = load_dataset_document(convert(run, config=small_config))
     assert [e.episode_id for e in document.episodes] == ["000001"]
     assert document.left_out == ("000009",)
+
+
+def test_rejected_labels_are_left_out_unless_asked_for(
+    labelled_run: Callable[..., Path], small_config: CloudConfig
+) -> None:
+    run = labelled_run(3)
+    review(run, "000002", "reject")
+    assert choose_episodes(run).summary == ("2 episodes; left out: 1 with rejected labels: 000002")
+    root = convert(run, config=small_config)
+    document = load_dataset_document(root)
+    assert [e.episode_id for e in document.episodes] == ["000001", "000003"]
+    assert document.rejected == ("000002",) and document.left_out == ()
+    assert "reviewer rejected their labels: 000002" in (root / "README.md").read_text()
+    assert not list(validate(run))
+    document = load_dataset_document(convert(run, config=small_config, with_rejected=True))
+    assert len(document.episodes) == 3 and document.rejected == ()
+    assert not list(validate(run))
+
+
+def test_a_review_after_the_export_is_told(
+    labelled_run: Callable[..., Path], small_config: CloudConfig
+) -> None:
+    run = labelled_run(2)
+    convert(run, config=small_config)
+    review(run, "000001", "accept")
+    assert not list(validate(run))
+    review(run, "000001", "reject")
+    assert [f.kind for f in validate(run)] == ["export.outdated"]
+    review(run, "000002", "reject")
+    with pytest.raises(DatasetError, match=r"rejected the labels of all 2 .* --with-rejected"):
+        convert(run, config=small_config)
 
 
 def test_episodes_without_labels_are_listed_with_the_remedy(
