@@ -25,8 +25,14 @@ from codediffuser.datasets.export_meta import (
 )
 from codediffuser.datasets.exporting.columns import PartStats, arrow_schema
 from codediffuser.datasets.exporting.pictures import pixel_stats
-from codediffuser.datasets.exporting.video import VideoJoiner
 from codediffuser.datasets.features import DEFAULT_FEATURES, Feature, VideoFeature
+from codediffuser.datasets.lerobot_files import (
+    CHUNK_FILES,
+    FILE_MB,
+    VIDEO_FILE_MB,
+    DataFiles,
+    VideoFiles,
+)
 from codediffuser.datasets.stats import (
     QUANTILES,
     Histogram,
@@ -35,12 +41,8 @@ from codediffuser.datasets.stats import (
     merge_stats,
     with_quantiles,
 )
-from codediffuser.errors import DatasetError, ShapeError
+from codediffuser.errors import ShapeError
 from codediffuser.files import write_json
-
-CHUNK_FILES = 1000
-FILE_MB = 100
-VIDEO_FILE_MB = 200
 
 
 class LeRobotWriter:
@@ -72,8 +74,8 @@ class LeRobotWriter:
         self._rows: list[dict[str, Any]] = []
         self._stats: list[dict[str, Stats]] = []
         self._exact = _ExactQuantiles()
-        self._files = _DataFiles(root, self.features)
-        self._video_files = {key: _VideoFiles(root, key, fps) for key in self.videos}
+        self._files = DataFiles(root, self.features)
+        self._video_files = {key: VideoFiles(root, key, fps) for key in self.videos}
 
     def add_episode(
         self,
@@ -206,76 +208,6 @@ class LeRobotWriter:
 
         frame = pd.DataFrame({"task_index": list(self._tasks.values())}, index=list(self._tasks))
         frame.to_parquet(self.root / TASKS)
-
-
-class _DataFiles:
-    """The data files, each of about `FILE_MB`."""
-
-    def __init__(self, root: Path, features: Mapping[str, Feature]) -> None:
-        self.root = root
-        self._schema = arrow_schema(features)
-        # Pictures in text shrink by a quarter under zstd; numbers gain little.
-        self._compression = {
-            key: "zstd" if feature.dtype == "string" else "snappy"
-            for key, feature in features.items()
-        }
-        self._number = -1
-        self._bytes = 0
-        self._writer: pq.ParquetWriter | None = None
-
-    def append(self, table: pa.Table) -> tuple[int, int]:
-        """Write to the open file, or to a next one when it is full; return chunk and file."""
-        if self._writer is None or self._bytes + table.nbytes > FILE_MB * 2**20:
-            self.close()
-            self._number += 1
-            self._bytes = 0
-            chunk, file = divmod(self._number, CHUNK_FILES)
-            path = self.root / DATA.format(chunk_index=chunk, file_index=file)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = pq.ParquetWriter(path, self._schema, compression=self._compression)
-        self._writer.write_table(table, row_group_size=len(table))
-        self._bytes += table.nbytes
-        return divmod(self._number, CHUNK_FILES)
-
-    def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
-
-
-class _VideoFiles:
-    """The files of one video feature, each of about `VIDEO_FILE_MB`."""
-
-    def __init__(self, root: Path, key: str, fps: int) -> None:
-        self.root, self.key, self.fps = root, key, fps
-        self._number = -1
-        self._joiner: VideoJoiner | None = None
-
-    def append(self, video: Path, length: int) -> dict[str, Any]:
-        """Append one episode; return what its row says about it."""
-        joiner = self._joiner
-        if joiner is None or joiner.bytes + video.stat().st_size > VIDEO_FILE_MB * 2**20:
-            self.close()
-            self._number += 1
-            joiner = self._joiner = VideoJoiner(self._path(), self.fps)
-        start = joiner.frames
-        found = joiner.append(video)
-        if found != length:
-            raise DatasetError(f"{video}: expected {length} pictures, one a row, found {found}")
-        chunk, file = divmod(self._number, CHUNK_FILES)
-        return {
-            f"videos/{self.key}/chunk_index": chunk,
-            f"videos/{self.key}/file_index": file,
-            f"videos/{self.key}/from_timestamp": start / self.fps,
-            f"videos/{self.key}/to_timestamp": (start + length) / self.fps,
-        }
-
-    def close(self) -> None:
-        if self._joiner is not None:
-            self._joiner.close()
-
-    def _path(self) -> Path:
-        chunk, file = divmod(self._number, CHUNK_FILES)
-        return self.root / VIDEO.format(video_key=self.key, chunk_index=chunk, file_index=file)
 
 
 class _ExactQuantiles:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from codediffuser.datagen.workers import run_tasks
 from codediffuser.datasets.export_meta import DATA, VIDEO
-from codediffuser.datasets.lerobot_writer import CHUNK_FILES
+from codediffuser.datasets.lerobot_files import CHUNK_FILES
 from codediffuser.datasets.merging.data_files import FileJob, Renumbering, bring_over
 from codediffuser.datasets.merging.merged_meta import Places, write_meta
 from codediffuser.datasets.merging.sources import Source, open_sources
