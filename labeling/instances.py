@@ -60,6 +60,7 @@ def get_instance_source(name: str) -> InstanceSource:
     Raises:
         NotRegisteredError: No such source; the message names the closest one.
     """
-    import codediffuser.labeling.oracle_source  # noqa: F401  fills the registry
+    import codediffuser.labeling.oracle_source
+    import codediffuser.labeling.perception.instances  # noqa: F401  both fill the registry
 
     return INSTANCE_SOURCES.get(name)()

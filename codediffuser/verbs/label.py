@@ -31,7 +31,7 @@ class Label(Verb):
     run_folder: tyro.conf.Positional[Path]
     """Run folder with episodes/."""
     auto: bool = False
-    """Take the labels from the simulator's own knowledge; no browser."""
+    """Label the logged targets of simulated episodes by --source; no browser."""
     workers: int = 1
     """Processes of --auto."""
     overwrite: bool = False
@@ -45,7 +45,7 @@ class Label(Verb):
     operator: str | None = None
     """Name that is stored with the labels; the login name unless the browser knows another."""
     source: str = "oracle"
-    """Who finds the instances to choose from."""
+    """Who finds the instances to choose from: oracle (the simulator) or features (perception)."""
     prelabel: Literal["ground truth", "features", "language"] | None = None
     """Begin every episode with a proposal to accept or correct."""
     features: str | None = None
@@ -119,7 +119,9 @@ class Label(Verb):
         from codediffuser.datagen.episode import list_episodes
         from codediffuser.labeling.auto import label_run
 
-        results = label_run(self.run_folder, workers=self.workers, overwrite=self.overwrite)
+        results = label_run(
+            self.run_folder, workers=self.workers, overwrite=self.overwrite, source=self.source
+        )
         errors = []
         for result in track(results, "label", len(list_episodes(self.run_folder))):
             if result.error:

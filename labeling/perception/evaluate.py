@@ -17,6 +17,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import tyro
@@ -26,6 +27,7 @@ from codediffuser.datagen.randomization import load_randomization
 from codediffuser.datagen.scene_sampler import sample_scene
 from codediffuser.datagen.task import Task, get_task
 from codediffuser.errors import BelowTargetError, LabelError
+from codediffuser.files import atomic_path
 from codediffuser.labeling.agreement import chamfer_m
 from codediffuser.labeling.ground_truth import (
     GroundTruthConfig,
@@ -37,6 +39,7 @@ from codediffuser.labeling.ground_truth import (
 from codediffuser.labeling.perception.cloud import CloudFuser
 from codediffuser.labeling.perception.finding import FoundInstance
 from codediffuser.labeling.perception.instances import FeaturesSource, selectable
+from codediffuser.labeling.perception.overlay import found_overlay
 from codediffuser.labeling.perception.rendered import StartRenderer, StartScene, seen_places
 from codediffuser.pointcloud import crop_box, fuse_views
 from codediffuser.seeding import Stage
@@ -79,7 +82,12 @@ class SceneScore:
 
 
 def score_scenes(
-    task: Task, indices: Sequence[int], *, root_seed: int = 0, randomize: str | None = None
+    task: Task,
+    indices: Sequence[int],
+    *,
+    root_seed: int = 0,
+    randomize: str | None = None,
+    pictures: Path | None = None,
 ) -> Iterator[SceneScore]:
     """Draw evaluation scenes and judge what the `features` source finds in them.
 
@@ -88,6 +96,7 @@ def score_scenes(
         indices: Numbers of the scenes.
         root_seed: Of the scenes; they come from `Stage.EVAL_SCENE`, which nothing trains on.
         randomize: Preset of domain randomisation; None is the usual look.
+        pictures: Folder for a picture of the first scene and of each with a fault.
 
     Raises:
         SetupError: There is no usable Vulkan device, or the network's weights are missing.
@@ -97,7 +106,12 @@ def score_scenes(
     for index in indices:
         scene = sample_scene(task, root_seed=root_seed, index=index, stage=Stage.EVAL_SCENE)
         start = renderer.draw(scene, ranges)
-        yield judge(task, start, source.found(start.views, task))
+        found = source.found(start.views, task)
+        score = judge(task, start, found)
+        if pictures is not None and (score.faults or index == indices[0]):
+            with atomic_path(pictures / f"{task.name}_{scene.scene_id}.png") as partial:
+                found_overlay(start.views, found).save(partial)
+        yield score
 
 
 def judge(task: Task, start: StartScene, found: Sequence[FoundInstance]) -> SceneScore:
@@ -204,10 +218,14 @@ class Evaluation:
     tasks: tuple[str, ...] = ("hang_mug", "pack_battery", "stow_book")
     scenes: int = 200
     """Of each task."""
+    first: int = 0
+    """Number of the first one."""
     seed: int = 0
     """Root seed of the evaluation scenes."""
     randomize: str | None = None
     """Preset of domain randomisation, such as `mild`; the usual look without it."""
+    pictures: Path | None = None
+    """Folder for a picture of the first scene of each task, and of each with a fault."""
 
 
 def report(task: Task, scores: Sequence[SceneScore]) -> tuple[list[str], bool]:
@@ -245,7 +263,11 @@ def main() -> None:
         task = get_task(name)
         scores = list(
             score_scenes(
-                task, range(options.scenes), root_seed=options.seed, randomize=options.randomize
+                task,
+                range(options.first, options.first + options.scenes),
+                root_seed=options.seed,
+                randomize=options.randomize,
+                pictures=options.pictures,
             )
         )
         lines, ok = report(task, scores)
