@@ -11,8 +11,6 @@ from __future__ import annotations
 import hashlib
 import multiprocessing as mp
 import os
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -36,6 +34,7 @@ from codediffuser.datasets.features import (
     policy_features,
 )
 from codediffuser.datasets.lerobot_writer import LeRobotWriter
+from codediffuser.measuring import print_measured
 
 N_OBS_STEPS, HORIZON, FPS = 2, 16, 25
 KEYS = (POINTS, STATE, ACTION)
@@ -244,12 +243,5 @@ def _peak_mb() -> float:
     return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
-def main() -> None:
-    """Print the comparison."""
-    options = tyro.cli(Options)
-    with tempfile.TemporaryDirectory(prefix="codediffuser-read-") as scratch:
-        sys.stdout.write(f"{measure(options, Path(scratch))}\n")
-
-
 if __name__ == "__main__":
-    main()
+    print_measured(Options, measure)

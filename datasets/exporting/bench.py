@@ -16,8 +16,6 @@ import resource
 import shutil
 import signal
 import statistics
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -47,6 +45,7 @@ from codediffuser.datasets.features import (
     pose_key,
 )
 from codediffuser.errors import DatasetError
+from codediffuser.measuring import print_measured
 
 TIMEOUT_S = 3600.0
 """For one turn; a longer one is taken for hung."""
@@ -234,5 +233,4 @@ def _check_frames(root: Path, frames: int) -> None:
 
 
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as folder:
-        sys.stdout.write(measure(tyro.cli(Options), Path(folder)) + "\n")
+    print_measured(Options, measure)

@@ -6,8 +6,6 @@ python -m codediffuser.datasets.merging.bench RUN/lerobot --shards 20
 from __future__ import annotations
 
 import shutil
-import sys
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 import tyro
 
 from codediffuser.datasets.merging.merge import merge_datasets
+from codediffuser.measuring import print_measured
 
 
 @dataclass(kw_only=True)
@@ -55,7 +54,9 @@ class Measured:
 
 def measure(options: Options, scratch: Path) -> Measured:
     """Time both sides in turns; all files are in the page cache."""
-    shards = _split(options, scratch / "shards")
+    shards = split_into_shards(
+        options.dataset, options.shards, options.episodes, scratch / "shards"
+    )
     times: dict[str, list[float]] = {"ours": [], "unverified": [], "lerobot": []}
     for _ in range(options.rounds):
         times["ours"].append(_ours(shards, scratch / "ours", verify=True))
@@ -67,16 +68,13 @@ def measure(options: Options, scratch: Path) -> Measured:
     return Measured(options.shards, options.episodes, ours, unverified, lerobot)
 
 
-def _split(options: Options, out: Path) -> list[Path]:
+def split_into_shards(dataset: Path, shards: int, episodes: int, out: Path) -> list[Path]:
+    """Cut the first episodes of a dataset into datasets of a few each; returns their folders."""
     from lerobot.datasets.dataset_tools import split_dataset
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    dataset = LeRobotDataset("bench/whole", root=options.dataset)
-    parts = {
-        f"shard_{i:03d}": list(range(i * options.episodes, (i + 1) * options.episodes))
-        for i in range(options.shards)
-    }
-    split_dataset(dataset, parts, output_dir=out)
+    parts = {f"shard_{i:03d}": list(range(i * episodes, (i + 1) * episodes)) for i in range(shards)}
+    split_dataset(LeRobotDataset("bench/whole", root=dataset), parts, output_dir=out)
     return sorted(out.iterdir())
 
 
@@ -98,12 +96,5 @@ def _lerobot(shards: list[Path], out: Path) -> float:
     return time.perf_counter() - start
 
 
-def main() -> None:
-    """Print the comparison."""
-    options = tyro.cli(Options)
-    with tempfile.TemporaryDirectory(prefix="codediffuser-merge-") as scratch:
-        sys.stdout.write(f"{measure(options, Path(scratch))}\n")
-
-
 if __name__ == "__main__":
-    main()
+    print_measured(Options, measure)
