@@ -15,6 +15,7 @@ from codediffuser.datasets import parquet_reader
 from codediffuser.datasets.export_meta import DatasetDocument, find_document, load_info
 from codediffuser.datasets.features import (
     ACTION,
+    DEFAULT_FEATURES,
     EPISODE_ID,
     LABELS,
     POINT_CHANNELS,
@@ -38,7 +39,6 @@ from codediffuser.errors import CodeDiffuserError
 PARTS = {"tables": "data", "videos": "videos", "meta": "meta", "card": "card"}
 LEFT_OUT = "left out of the export: no success"
 REJECTED = "left out of the export: labels rejected"
-OWN_FEATURES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
 def survey_dataset(root: Path) -> Survey:
@@ -53,7 +53,7 @@ def survey_dataset(root: Path) -> Survey:
     info, document = load_info(root), find_document(root)
     rows = parquet_reader.read_episode_rows(root)
     firsts = _first_rows(root, info, len(rows))
-    features = {k: f for k, f in info["features"].items() if k not in OWN_FEATURES}
+    features = {k: f for k, f in info["features"].items() if k not in DEFAULT_FEATURES}
     source = document.source if document else ""
     code = f"{document.versions.get('codediffuser', NOT_RECORDED)} ({document.git_commit})" \
         if document else NOT_RECORDED  # fmt: skip
