@@ -16,6 +16,7 @@ from codediffuser.verbs.verb import Verb, console, track
 
 if TYPE_CHECKING:
     from codediffuser.labeling.gui.reference_book import ReferenceBook
+    from codediffuser.labeling.instances import InstanceSource
 
 TOKEN_VARIABLE = "CODEDIFFUSER_LABEL_TOKEN"
 
@@ -45,7 +46,8 @@ class Label(Verb):
     operator: str | None = None
     """Name that is stored with the labels; the login name unless the browser knows another."""
     source: str = "oracle"
-    """Who finds the instances to choose from: oracle (the simulator) or features (perception)."""
+    """Who finds the instances to choose from: oracle (the simulator), features (the built-in
+    network), or references (the library of --references, with the backend of --features)."""
     prelabel: Literal["ground truth", "features", "language"] | None = None
     """Begin every episode with a proposal to accept or correct."""
     features: str | None = None
@@ -83,7 +85,7 @@ class Label(Verb):
         check_access(self.host, token)
         desk = Desk(
             self.run_folder,
-            source=self.source,
+            source=self._instance_source(),
             prelabel=self.prelabel,
             references=self._reference_book(),
         )
@@ -111,9 +113,25 @@ class Label(Verb):
                 raise ConfigError("--weights and --references need --features NAME")
             return None
         check_backend(self.features)
-        own = self.run_folder / "labeling" / "references" / f"{self.features}.json"
         options = FeatureOptions(weights=self.weights)
-        return ReferenceBook(self.features, self.references or own, options)
+        return ReferenceBook(self.features, self._library_path(self.features), options)
+
+    def _instance_source(self) -> str | InstanceSource:
+        if self.source != "references":
+            return self.source
+        from codediffuser.labeling.perception.features import FeatureOptions
+        from codediffuser.labeling.perception.library_source import LibrarySource
+
+        if self.features is None:
+            raise ConfigError(
+                "--source references needs --features NAME, whose references it reads"
+            )
+        options = FeatureOptions(weights=self.weights)
+        return LibrarySource(self.features, self._library_path(self.features), options)
+
+    def _library_path(self, backend: str) -> Path:
+        own = self.run_folder / "labeling" / "references" / f"{backend}.json"
+        return self.references or own
 
     def _label_automatically(self) -> Path:
         from codediffuser.datagen.episode import list_episodes

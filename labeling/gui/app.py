@@ -77,7 +77,9 @@ class LabelApp:
     def close(self) -> None:
         """Stop serving; everything is on disk already."""
         self._closing.set()
-        for tab in list(self.tabs.values()):
+        while self.tabs:
+            # Taken out first: the server's end disconnects every tab once more.
+            _, tab = self.tabs.popitem()
             tab.close()
         self.server.stop()
         self.desk.close()

@@ -14,7 +14,7 @@ from codediffuser.labeling.gui.episode_scene import EpisodeScene, SceneCache, lo
 from codediffuser.labeling.gui.journal import Journal
 from codediffuser.labeling.gui.reference_book import ReferenceBook
 from codediffuser.labeling.index import Filter, LabelIndex, index_row, load_index
-from codediffuser.labeling.instances import get_instance_source
+from codediffuser.labeling.instances import InstanceSource, get_instance_source
 from codediffuser.labeling.leases import LeaseBook
 
 REFRESH_S = 2.0
@@ -26,7 +26,7 @@ class Desk:
 
     Args:
         run: Run folder with episodes.
-        source: Registered name of who finds the instances.
+        source: Who finds the instances, or the registered name of one.
         prelabel: Registered name of a proposal that new drafts begin with; None for an empty one.
         references: Where reference mode keeps features; None for no such mode.
         clock: Unix time in seconds.
@@ -40,7 +40,7 @@ class Desk:
         self,
         run: Path,
         *,
-        source: str = "oracle",
+        source: str | InstanceSource = "oracle",
         prelabel: str | None = None,
         references: ReferenceBook | None = None,
         clock: Callable[[], float] = time.time,
@@ -49,7 +49,7 @@ class Desk:
             raise EpisodeError(f"{run}: no episodes to label; run `codediffuser demo {run}` first")
         self.run, self.prelabel, self.clock = run, prelabel, clock
         self.references = references
-        found_by = get_instance_source(source)
+        found_by = get_instance_source(source) if isinstance(source, str) else source
         self.scenes = SceneCache(lambda folder: load_scene(folder, found_by))
         self.leases = LeaseBook(run, clock)
         self._lock = threading.RLock()

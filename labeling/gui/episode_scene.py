@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +68,7 @@ class EpisodeScene:
         """Frames that the time slider runs over, at least 1."""
         return self.episode.num_frames if self.episode else 1
 
-    @cached_property
+    @functools.cached_property
     def cameras(self) -> Mapping[str, Camera]:
         """Cameras with depth that stand still; none for a damaged episode."""
         try:
@@ -76,7 +76,7 @@ class EpisodeScene:
         except CodeDiffuserError:
             return {}
 
-    @cached_property
+    @functools.cached_property
     def start(self) -> Frame | None:
         """Pictures of frame 0; None when they cannot be read."""
         return self.frame(0)
@@ -90,12 +90,12 @@ class EpisodeScene:
         except CodeDiffuserError:
             return None
 
-    @cached_property
+    @functools.cached_property
     def top(self) -> Picker:
         """The table from above, to click in."""
         return top_picker(self.instances)
 
-    @cached_property
+    @functools.cached_property
     def clusters(self) -> tuple[np.ndarray, ...]:
         """Points (M, 3) of each instance to draw from above: thinned, neighbours kept apart.
 
@@ -122,7 +122,7 @@ class EpisodeScene:
             self._through[camera] = camera_picker(self.instances, depth_m, self.cameras[camera])
         return self._through[camera]
 
-    @cached_property
+    @functools.cached_property
     def _through(self) -> dict[str, Picker]:
         return {}
 
@@ -153,7 +153,7 @@ def load_scene(folder: Path, source: InstanceSource) -> EpisodeScene:
     """Read an episode; whatever is wrong with it becomes `EpisodeScene.problem`."""
     try:
         episode = Episode.open(folder)
-        task = get_task(episode.manifest.task)
+        task = _task(episode.manifest.task)
     except CodeDiffuserError as error:
         return EpisodeScene(folder, None, None, (), str(error))
     try:
@@ -167,6 +167,12 @@ def load_scene(folder: Path, source: InstanceSource) -> EpisodeScene:
     if task.config.labeling.view in scene.cameras:
         scene.through(task.config.labeling.view)
     return scene
+
+
+@functools.lru_cache(maxsize=8)
+def _task(name: str) -> Task:
+    """A task read once for all episodes, and with it its bodies: see `ground_truth.py`."""
+    return get_task(name)
 
 
 class SceneCache:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import fcntl
 import threading
 from collections import OrderedDict
@@ -134,11 +135,8 @@ class ReferenceBook:
         return backend, maps[0]
 
     def _backend(self, scene: EpisodeScene) -> FeatureBackend:
-        options = self._options
-        return get_features(
-            self.backend,
-            FeatureOptions(options.weights, options.cache, options.device, scene.episode),
-        )
+        options = dataclasses.replace(self._options, episode=scene.episode)
+        return get_features(self.backend, options)
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:

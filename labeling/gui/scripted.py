@@ -106,6 +106,15 @@ class ScriptedOperator:
         """Wait until another episode than this is shown."""
         self._wait(f'[data-episode]:not([data-episode="{episode}"])')
 
+    def open_episode(self, name: str) -> None:
+        """Ask for an episode by its id."""
+        self.page.get_by_label("go to").fill(name)
+        self.page.get_by_role("button", name="Open", exact=True).click()
+
+    def wait_for_episode(self, name: str) -> None:
+        """Wait until this episode is shown."""
+        self._wait(f'[data-episode="{name}"]')
+
     def wait_for_submitted(self) -> None:
         """Wait until the selection is saved as labels."""
         self._wait('[data-saved="labels"]')

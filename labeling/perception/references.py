@@ -28,7 +28,7 @@ NOTHING = -1
 """Number of points that belong to no category."""
 
 DEFAULT_THRESHOLD = 0.6
-"""Until a library is calibrated; between features of one thing and of two in DINOv2."""
+"""Until a library holds enough references to be calibrated by them."""
 
 
 class Reference(Strict):
