@@ -15,11 +15,11 @@ from pydantic import Field
 
 from codediffuser.datagen.bookshelf import BooksConfig
 from codediffuser.datagen.layout import drawn_count
+from codediffuser.datagen.ranges import CountRange, Range
 from codediffuser.errors import PlacementError
 from codediffuser.poses import make_transform
 from codediffuser.schema import Strict
 
-Interval = tuple[float, float]
 PATTERNS: dict[int, tuple[int, ...]] = {2: (1,), 3: (2,), 4: (1, 1)}
 """Number of slots to the sizes of the groups of leaning books that open them: two books in one
 group lean away from each other and share the slot between them."""
@@ -32,14 +32,14 @@ class RowConfig(Strict):
     """Titles of the large books that never move, at the left end and at the right end."""
     shelf_books: tuple[str, ...]
     """Titles of the books that may stand between them."""
-    count: tuple[int, int]
+    count: CountRange
     """How many of these do."""
-    slots: tuple[int, int] = Field(default=(2, 4))
+    slots: CountRange = Field(default=(2, 4))
     """How many slots leaning books open: 2 by one, 3 or 4 by two of them."""
     row_width_m: float
     """Between the large books of the two ends."""
-    lean_rad: Interval
-    base_gap_m: Interval
+    lean_rad: Range
+    base_gap_m: Range
     """Free floor beside the base of a leaning book, on the side that it does not lean to."""
     spare_m: float
     """How much more than the new book a group of slots has room for, once all books stand."""

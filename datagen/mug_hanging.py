@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from codediffuser.datagen.mug_shapes import MugShape, Range
+from codediffuser.datagen.mug_shapes import MugShape
 from codediffuser.datagen.mug_tree import Branch
+from codediffuser.datagen.ranges import Range
 from codediffuser.datagen.scene import Vector3
 from codediffuser.datagen.task import Move, SceneView
 from codediffuser.poses import invert_transform, make_transform, rotation_z

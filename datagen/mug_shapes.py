@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 
 from codediffuser.datagen import drawing
+from codediffuser.datagen.ranges import Range
 from codediffuser.datagen.scene import ObjectSpec, Vector3
 from codediffuser.poses import apply_transform, invert_transform
 from codediffuser.schema import Strict
@@ -21,9 +22,6 @@ HANDLE_SEGMENTS = 8
 PROFILE_LEVELS = 4
 ROUNDING = 0.55
 """Share of the height, from the base, over which a mug narrows: fingers want a straight rim."""
-
-Range = tuple[float, float]
-"""Low and high."""
 
 
 class MugStyle(Strict):

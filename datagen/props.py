@@ -11,6 +11,7 @@ import trimesh
 from pydantic import Field
 
 from codediffuser.datagen.appearance import Prop
+from codediffuser.datagen.ranges import CountRange, Range
 from codediffuser.datagen.scene import SceneSpec
 from codediffuser.datagen.task import Task
 from codediffuser.datagen.trajectory import Trajectory
@@ -29,11 +30,11 @@ SHAPES = ("box", "cylinder", "sphere")
 class PropRanges(Strict):
     """How many props lie where."""
 
-    count: tuple[int, int]
-    size_m: tuple[float, float]
+    count: CountRange
+    size_m: Range
     """Of each extent."""
-    area_x_m: tuple[float, float]
-    area_y_m: tuple[float, float]
+    area_x_m: Range
+    area_y_m: Range
     clearance_m: float = Field(ge=0)
     """To everything of the scene at every moment, and to each other."""
     max_tries: int = Field(default=30, ge=1)

@@ -22,6 +22,7 @@ from codediffuser.datagen.appearance import (
     SensorErrors,
 )
 from codediffuser.datagen.props import PropRanges, draw_props
+from codediffuser.datagen.ranges import CountRange, Range
 from codediffuser.datagen.scene import SceneSpec, SeedKey, Vector3
 from codediffuser.datagen.task import Task
 from codediffuser.datagen.trajectory import Trajectory
@@ -37,12 +38,6 @@ MAX_LIGHTS = 3
 PRESETS = Path(__file__).parent / "randomizations"
 
 
-def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
-    if interval[0] > interval[1]:
-        raise ValueError(f"expected [low, high] with low <= high, got {list(interval)}")
-    return interval
-
-
 def _few_lights(count: tuple[int, int]) -> tuple[int, int]:
     if not 0 <= count[0] <= count[1] <= MAX_LIGHTS:
         raise ValueError(
@@ -52,7 +47,6 @@ def _few_lights(count: tuple[int, int]) -> tuple[int, int]:
     return count
 
 
-Interval = Annotated[tuple[float, float], AfterValidator(_ascending)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -60,10 +54,10 @@ class LightRanges(Strict):
     """Directional lights from above, and light from everywhere."""
 
     count: Annotated[tuple[int, int], AfterValidator(_few_lights)]
-    ambient: Interval
-    brightness: Interval
+    ambient: Range
+    brightness: Range
     """Of all directional lights together."""
-    elevation_rad: Interval
+    elevation_rad: Range
     """Above the horizon."""
     tint: Share
     """How far each channel of a light may fall below white."""
@@ -90,14 +84,14 @@ class CameraRanges(Strict):
 class SensorRanges(Strict):
     """Ranges of `SensorErrors`, of which one set holds for an episode."""
 
-    depth_base_m: Interval = (0.0, 0.0)
-    depth_per_m: Interval = (0.0, 0.0)
-    drop_probability: Interval = (0.0, 0.0)
-    edge_drop_probability: Interval = (0.0, 0.0)
-    holes: tuple[int, int] = (0, 0)
-    hole_radius: Interval = (0.05, 0.05)
-    color_noise: Interval = (0.0, 0.0)
-    color_gain: Interval = (1.0, 1.0)
+    depth_base_m: Range = (0.0, 0.0)
+    depth_per_m: Range = (0.0, 0.0)
+    drop_probability: Range = (0.0, 0.0)
+    edge_drop_probability: Range = (0.0, 0.0)
+    holes: CountRange = (0, 0)
+    hole_radius: Range = (0.05, 0.05)
+    color_noise: Range = (0.0, 0.0)
+    color_gain: Range = (1.0, 1.0)
 
 
 class Randomization(Document):

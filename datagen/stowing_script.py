@@ -13,12 +13,11 @@ import numpy as np
 
 from codediffuser.datagen.book_slots import free_between, row_beside
 from codediffuser.datagen.bookshelf import BooksConfig, ShelfConfig
+from codediffuser.datagen.ranges import Range
 from codediffuser.datagen.scene import ObjectSpec, Vector3
 from codediffuser.datagen.task import Move, SceneView
 from codediffuser.poses import invert_transform, make_transform, rotation_z
 from codediffuser.schema import Strict
-
-Range = tuple[float, float]
 
 PADS_M = 0.1034
 """From the frame of `panda_hand` to the middle of the finger pads."""

@@ -23,7 +23,6 @@ from codediffuser.datagen.mug_meshes import mug_geometry
 from codediffuser.datagen.mug_shapes import (
     MugConfig,
     MugShape,
-    Range,
     draw_mug_shape,
     mug_from_above,
 )
@@ -38,6 +37,7 @@ from codediffuser.datagen.mug_tree import (
     tree_of,
     tree_places,
 )
+from codediffuser.datagen.ranges import Range
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
 from codediffuser.datagen.task import TASKS, Check, Geometry, Move, Pad, SceneView, Task
 from codediffuser.datagen.task_config import TaskConfig

@@ -30,6 +30,7 @@ from codediffuser.datagen.layout import Layout, LayoutRequest, drawn_count
 from codediffuser.datagen.packing_check import SuccessConfig, check_packed, packing_failure
 from codediffuser.datagen.packing_script import ScriptConfig, packing_moves
 from codediffuser.datagen.placement import Area, sample_positions
+from codediffuser.datagen.ranges import CountRange, Range
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec, Vector3
 from codediffuser.datagen.task import TASKS, Check, Geometry, Move, Pad, SceneView, Task
 from codediffuser.datagen.task_config import TaskConfig
@@ -53,10 +54,10 @@ class VariantConfig(Strict):
 
     pad_name: str = "pad"
     """What the pad is called on its printed sheets."""
-    waiting_count: tuple[int, int]
-    packed_count: tuple[int, int]
-    area_x_m: tuple[float, float]
-    area_y_m: tuple[float, float]
+    waiting_count: CountRange
+    packed_count: CountRange
+    area_x_m: Range
+    area_y_m: Range
     min_distance_m: float
     max_tries: int
     max_redraws: int
@@ -87,9 +88,6 @@ class PackBatteryConfig(TaskConfig[VariantConfig]):
             (least, most), (fewest, packed) = variant.waiting_count, variant.packed_count
             if not 1 <= least <= most:
                 raise ValueError(f"variants.{name}.waiting_count: expected 1 <= low <= high")
-            for axis, (low, high) in (("x", variant.area_x_m), ("y", variant.area_y_m)):
-                if low > high:
-                    raise ValueError(f"variants.{name}.area_{axis}_m: expected low <= high")
             if not 0 <= fewest <= packed < cells:
                 raise ValueError(
                     f"variants.{name}.packed_count: expected 0 <= low <= high < {cells}, the "

@@ -29,6 +29,7 @@ from codediffuser.datagen.bookshelf import (
 from codediffuser.datagen.instructions.book_components import Named, book_phrases
 from codediffuser.datagen.instructions.components import Component
 from codediffuser.datagen.layout import Layout, LayoutRequest, fixed_count
+from codediffuser.datagen.ranges import Range
 from codediffuser.datagen.scene import ObjectSpec, Pair, SceneSpec
 from codediffuser.datagen.stowing_check import SuccessConfig, check_stowed, stowing_failure
 from codediffuser.datagen.stowing_script import StowingScript, StowingScriptConfig
@@ -46,10 +47,10 @@ class VariantConfig(Strict):
     row: RowConfig
     pad_books: tuple[str, ...]
     """Titles of the books that may wait."""
-    pad_x_m: tuple[float, float]
+    pad_x_m: Range
     """Of the middle of the waiting book, like the next."""
-    pad_y_m: tuple[float, float]
-    pad_yaw_rad: tuple[float, float]
+    pad_y_m: Range
+    pad_yaw_rad: Range
     """0 turns the spine to the robot."""
 
 
