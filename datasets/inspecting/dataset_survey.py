@@ -52,7 +52,7 @@ def survey_dataset(root: Path) -> Survey:
     """
     info, document = load_info(root), find_document(root)
     rows = parquet_reader.read_episode_rows(root)
-    firsts = _first_rows(root, info, len(rows))
+    firsts = _first_rows(root, info, len(rows), (EPISODE_ID, LABELS))
     features = {k: f for k, f in info["features"].items() if k not in DEFAULT_FEATURES}
     source = document.source if document else ""
     code = f"{document.versions.get('codediffuser', NOT_RECORDED)} ({document.git_commit})" \
@@ -135,9 +135,25 @@ def dataset_motion(root: Path, *, moments: int = 60, most: int = 64) -> Motion |
     )  # fmt: skip
 
 
-def _first_rows(root: Path, info: Mapping[str, Any], count: int) -> list[dict[str, str]]:
-    """The texts of each episode's first frame."""
-    keys = [k for k in (EPISODE_ID, LABELS) if k in info["features"]]
+def episode_names(root: Path, count: int) -> tuple[str, ...]:
+    """Ids of the first episodes of a dataset; the number of one whose rows name none.
+
+    Args:
+        root: The dataset.
+        count: How many episodes it has.
+
+    Raises:
+        DatasetError: A file is damaged.
+    """
+    firsts = _first_rows(root, load_info(root), count, (EPISODE_ID,))
+    return tuple(first.get(EPISODE_ID, str(i)) for i, first in enumerate(firsts))
+
+
+def _first_rows(
+    root: Path, info: Mapping[str, Any], count: int, wanted: Sequence[str]
+) -> list[dict[str, str]]:
+    """Texts of each episode's first frame, those that are wanted and there."""
+    keys = [k for k in wanted if k in info["features"]]
     first: dict[int, dict[str, str]] = {}
     if keys:
         for batch in parquet_reader.iterate(root, ["episode_index", *keys]):

@@ -25,7 +25,7 @@ from codediffuser.datasets.features import (
     mask_key,
     pose_key,
 )
-from codediffuser.datasets.inspecting.dataset_survey import column_names, survey_dataset
+from codediffuser.datasets.inspecting.dataset_survey import column_names, episode_names
 from codediffuser.datasets.inspecting.episode_view import (
     MAX_POINTS,
     Shelf,
@@ -162,7 +162,7 @@ def dataset_shelf(root: Path) -> Shelf:
         DatasetError: There is no dataset, or it is damaged.
     """
     rows = parquet_reader.read_episode_rows(root)
-    ids = tuple(episode.id for episode in survey_dataset(root).episodes)
+    ids = episode_names(root, len(rows))
     if len(set(ids)) < len(ids):  # a merge of runs that numbered their scenes alike
         ids = tuple(f"{i}: {name}" for i, name in enumerate(ids))
     by_id = dict(zip(ids, rows, strict=True))
