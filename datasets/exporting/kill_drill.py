@@ -9,7 +9,6 @@ SIGKILL at a random moment, again and again; a last undisturbed call must end wi
 from __future__ import annotations
 
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -24,6 +23,7 @@ import tyro
 from codediffuser.datagen.episode import list_episodes
 from codediffuser.datasets.export_meta import CARD, DOCUMENT, OTHER_DOCUMENT, DatasetDocument
 from codediffuser.datasets.exporting.format import format_for
+from codediffuser.drills import kill_after, start_verb
 from codediffuser.errors import DatasetError
 from codediffuser.files import sha256_file
 from codediffuser.seeding import Stage, rng_for
@@ -79,13 +79,7 @@ def drill(options: Options, scratch: Path) -> Iterator[Kill]:
     for after_s in moments:
         process = _convert(options, run)
         _wait_for_work(process, run)
-        try:
-            process.wait(timeout=float(after_s))
-            finished = True
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-            finished = False
+        finished = not kill_after(process, float(after_s))
         kept = run / ".cache" / "convert"
         yield Kill(float(after_s), finished, len(list(kept.glob("0*"))))
         if finished:
@@ -110,12 +104,7 @@ def _wait_for_work(process: subprocess.Popen[bytes], run: Path) -> None:
 
 
 def _convert(options: Options, run: Path) -> subprocess.Popen[bytes]:
-    words = ["convert", str(run), "--to", options.to, "--profile", options.profile]
-    return subprocess.Popen(
-        [sys.executable, "-m", "codediffuser.cli", *words],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    return start_verb("convert", str(run), "--to", options.to, "--profile", options.profile)
 
 
 def _contents(root: Path) -> dict[str, str]:

@@ -9,11 +9,9 @@ with signal 9 and compares what re-running gives with an import that was left al
 from __future__ import annotations
 
 import json
-import os
 import random
 import resource
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -25,6 +23,7 @@ import tyro
 
 from codediffuser.datagen.episode_format import MANIFEST
 from codediffuser.datasets.importing.big_bag import bag_config, make_bag
+from codediffuser.drills import kill_after, start_verb
 from codediffuser.errors import DatasetError
 from codediffuser.files import sha256_file, sha256_json
 
@@ -46,7 +45,7 @@ def size(gigabytes: float = 2.0, hz: int = 2, folder: Path | None = None, worker
         bag_config(hz).save(scratch / "import.yaml")
         _tell(f"recording: {bag_mb / 1e3:.2f} GB, 30 Hz, made in {made_s:.0f} s")
         start = time.monotonic()
-        subprocess.run(_command(scratch, scratch / "run", workers), check=True)
+        _import(scratch, scratch / "run", workers)
         taken_s = time.monotonic() - start
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
         run_mb = sum(p.stat().st_size for p in (scratch / "run").rglob("*") if p.is_file()) / 1e6
@@ -80,14 +79,14 @@ def kills(
         make_bag(scratch / "big.mcap", int(megabytes * 1e6), episodes=6, size=(160, 120))
         bag_config(30).save(scratch / "import.yaml")
         start = time.monotonic()
-        subprocess.run(_command(scratch, scratch / "whole"), check=True)
+        _import(scratch, scratch / "whole")
         whole_s = time.monotonic() - start
         expected, moments = contents(scratch / "whole"), random.Random(seed)
         for i in range(times):
             delay = moments.uniform(0.0, whole_s)
-            killed = _kill_after(_command(scratch, scratch / "cut"), delay)
+            killed = kill_after(start_verb(*_words(scratch, scratch / "cut")), delay)
             left = sum(1 for _ in (scratch / "cut").rglob("*"))
-            subprocess.run(_command(scratch, scratch / "cut"), check=True)
+            _import(scratch, scratch / "cut")
             found = contents(scratch / "cut")
             if found != expected:
                 names = sorted(n for n, _ in set(found.items()) ^ set(expected.items()))
@@ -120,22 +119,16 @@ def _without_commit(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def _command(scratch: Path, run: Path, workers: int = 1) -> list[str]:
+def _import(scratch: Path, run: Path, workers: int = 1) -> None:
+    command = [sys.executable, "-m", "codediffuser.cli", *_words(scratch, run, workers)]
+    subprocess.run(command, check=True)
+
+
+def _words(scratch: Path, run: Path, workers: int = 1) -> list[str]:
     return [
-        sys.executable, "-m", "codediffuser.cli", "import", str(scratch / "big.mcap"), "--config",
-        str(scratch / "import.yaml"), "--out", str(run), "--workers", str(workers),
+        "import", str(scratch / "big.mcap"), "--config", str(scratch / "import.yaml"),
+        "--out", str(run), "--workers", str(workers),
     ]  # fmt: skip
-
-
-def _kill_after(command: list[str], delay_s: float) -> bool:
-    """Start a process and kill it; returns whether it was still at work."""
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    time.sleep(delay_s)
-    working = process.poll() is None
-    if working:
-        os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    return working
 
 
 def _tell(line: str) -> None:

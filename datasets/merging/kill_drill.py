@@ -22,6 +22,7 @@ import tyro
 
 from codediffuser.datasets.export_meta import DOCUMENT, DatasetDocument
 from codediffuser.datasets.merging.bench import split_into_shards
+from codediffuser.drills import kill_after, start_verb
 from codediffuser.errors import DatasetError
 from codediffuser.files import TEMPORARY_PREFIX, sha256_file
 from codediffuser.seeding import Stage, rng_for
@@ -76,13 +77,7 @@ def drill(options: Options, scratch: Path) -> Iterator[Kill]:
     moments = rng_for(options.seed, Stage.EXPERT, 0).uniform(0.0, 1.0, options.kills) * takes_s
     for after_s in moments:
         _wait_for_work(process := _merge(shards, out), out)
-        try:
-            process.wait(timeout=float(after_s))
-            finished = True
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            finished = False
+        finished = not kill_after(process, float(after_s))
         left = sum(path.is_file() for path in out.parent.rglob("*"))
         shutil.rmtree(out, ignore_errors=True)
         if _merge(shards, out).wait() != 0:
@@ -96,12 +91,7 @@ def drill(options: Options, scratch: Path) -> Iterator[Kill]:
 
 
 def _merge(shards: list[Path], out: Path) -> subprocess.Popen[bytes]:
-    words = ["merge", *map(str, shards), "--out", str(out)]
-    return subprocess.Popen(
-        [sys.executable, "-m", "codediffuser.cli", *words],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    return start_verb("merge", *map(str, shards), "--out", str(out))
 
 
 def _wait_for_work(process: subprocess.Popen[bytes], out: Path) -> float:
