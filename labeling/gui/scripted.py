@@ -108,7 +108,9 @@ class ScriptedOperator:
 
     def open_episode(self, name: str) -> None:
         """Ask for an episode by its id."""
-        self.page.get_by_label("go to").fill(name)
+        # viser's labels name no field: it is the first one after its label.
+        label = self.page.locator('label:text-is("go to")')
+        label.locator("xpath=following::input[1]").fill(name)
         self.page.get_by_role("button", name="Open", exact=True).click()
 
     def wait_for_episode(self, name: str) -> None:
