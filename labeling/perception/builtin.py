@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 WEIGHTS = Path(__file__).parent / "weights" / "builtin.safetensors"
 CARD_SUFFIX = ".yaml"
-FOCAL_PX = 248.0
+FOCAL_PX = 248.4
 """Focal length of the pictures that it was trained on; others are resized to about this."""
 NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
 """Trained references come from no single picture."""
@@ -85,7 +85,7 @@ class BuiltinFeatures:
     def __init__(self, weights: Path | None = None) -> None:
         path = weights or WEIGHTS
         self.card = _card(path)
-        self._network = _load(path, len(self.card.categories))
+        self._network = load_network(path)
 
     @property
     def dimensions(self) -> int:
@@ -191,13 +191,15 @@ def _card(path: Path) -> Card:
     return card
 
 
-def _load(path: Path, categories: int) -> Any:
+def load_network(path: Path) -> Any:
+    """The network with the weights of a file, ready to be used."""
     from safetensors.torch import load_file
 
     from codediffuser.labeling.perception.builtin_network import BuiltinNetwork
 
-    network = BuiltinNetwork(categories)
-    network.load_state_dict({name: value for name, value in load_file(str(path)).items()})
+    state = load_file(str(path))
+    network = BuiltinNetwork(len(state["references"]))
+    network.load_state_dict(state)
     return network.eval()
 
 

@@ -33,6 +33,8 @@ class TrainingConfig:
     """At its peak, after `warmup`; falls to 0 along a cosine."""
     warmup: int = 60
     weight_decay: float = 1e-3
+    instance_share: float = 0.5
+    """Share of the cuts that lie around an instance; the others lie anywhere in the workspace."""
     rare_weight: float = 2.0
     """Of each category beside the background, in the loss."""
     contrast: float = 0.3
@@ -111,9 +113,12 @@ def _losses(
 def _cut(
     sample: Sample, rng: np.random.Generator, config: TrainingConfig
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """One cut around a point of the workspace: cues (1, C, h, w), category, votes (1, 3, h, w)."""
+    """One cut around some point: cues (1, C, h, w), category (1, h, w), votes (1, 3, h, w)."""
     view = rng.integers(len(sample.rgb))
-    candidates = np.flatnonzero(sample.inside[view])
+    wanted = sample.inside[view]
+    if rng.uniform() < config.instance_share:
+        wanted = wanted & (sample.category[view] > 0)
+    candidates = np.flatnonzero(wanted)
     height, width = sample.depth_m.shape[1:]
     at = candidates[rng.integers(len(candidates))] if len(candidates) else height * width // 2
     top = _start(at // width, config.height, height, rng)

@@ -245,7 +245,7 @@ def report(task: Task, scores: Sequence[SceneScore]) -> tuple[list[str], bool]:
     good = sum(s.attention for s in scores)
     asked = MIN_ATTENTION.get(task.name, 0.0)
     reached &= good >= asked * len(scores)
-    known = [m for s in scores for m in s.chamfer_m if np.isfinite(m)]
+    known = [m for s in scores for m in s.chamfer_m if np.isfinite(m)] or [np.inf]
     lines.append(
         f"{task.name} attention: {good} of {len(scores)} scenes within {MAX_CHAMFER_M} m "
         f"({good / len(scores):.3f}, asked {asked or 'nothing'}); Chamfer median "

@@ -19,7 +19,13 @@ import tyro
 
 from codediffuser.datagen.task import TASKS, get_task
 from codediffuser.labeling.label import utc_now
-from codediffuser.labeling.perception.builtin import WEIGHTS, Card, card_path, save_weights
+from codediffuser.labeling.perception.builtin import (
+    WEIGHTS,
+    Card,
+    card_path,
+    load_network,
+    save_weights,
+)
 from codediffuser.labeling.perception.builtin_samples import Sample, draw_samples
 from codediffuser.labeling.perception.builtin_targets import CATEGORIES
 
@@ -28,8 +34,9 @@ _log = logging.getLogger(__name__)
 HELD_OUT = 20
 """One scene in so many is left out, to score the network on."""
 REPORT_EVERY = 50
-MIN_COSINE = 0.5
-"""Where no reference is nearer than 60 degrees, a pixel shows none of the categories."""
+MIN_COSINE = 0.15
+"""Nearly all points of the workspace lie nearer to some reference than this; one that does not is
+like nothing that was trained on. Between categories and background the nearest decides."""
 
 
 def train_builtin(
@@ -38,6 +45,8 @@ def train_builtin(
     out: Path = WEIGHTS,
     scenes: int = 200,
     steps: int = 2400,
+    learning_rate: float = 3e-3,
+    start: Path | None = None,
     seed: int = 0,
 ) -> Card:
     """Train the built-in network.
@@ -47,7 +56,9 @@ def train_builtin(
         out: File of weights; the card lies beside it.
         scenes: Scenes of each task.
         steps: Of training, about 0.4 s each on one core.
-        seed: Of scenes, looks and training.
+        learning_rate: At its peak.
+        start: Weights to go on from, best with another seed; None begins anew.
+        seed: Of training; scenes are always the same ones.
     """
     import torch
 
@@ -56,7 +67,7 @@ def train_builtin(
 
     tasks = _tasks()
     files = []
-    for file in draw_samples(samples, tasks, range(scenes), seed):
+    for file in draw_samples(samples, tasks, range(scenes)):
         files.append(file)
         if len(files) % REPORT_EVERY == 0:
             _log.info("%d of %d scenes are drawn", len(files), scenes * len(tasks))
@@ -64,8 +75,8 @@ def train_builtin(
     trained = [Sample.load(f) for f in files if f not in held_out]
     torch.set_num_threads(1)  # more change the last bits, and with them the weights
     torch.manual_seed(seed)
-    network = BuiltinNetwork(len(CATEGORIES))
-    config = TrainingConfig(steps=steps, seed=seed)
+    network = BuiltinNetwork(len(CATEGORIES)) if start is None else load_network(start)
+    config = TrainingConfig(steps=steps, learning_rate=learning_rate, seed=seed)
     started = time.process_time()
     for now in train(network, trained, config):
         if now.step % REPORT_EVERY == 0:

@@ -1,7 +1,8 @@
 """Points that vote for the middle of their instance, parted by where the votes gather.
 
 Where things touch, their points do not part but their middles lie apart. Votes are taken greedily:
-the densest gathering is an instance, what votes for it is taken away, and so on.
+the densest gathering is an instance, what votes for it is taken away, and so on. Gatherings nearer
+to a denser one than two middles can be are the stragglers of its votes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ CELLS_PER_REACH = 5
 """Votes are counted in cells this much smaller than the reach."""
 ROUNDS = 5
 """Of moving a gathering's middle to the mean of the votes around it."""
-MAX_SHARE_LEFT = 2.0
+MAX_REACHES = 3.0
 """Votes this many reaches from their nearest middle still belong to it, since no other claims
 them; farther ones belong to nothing."""
 
@@ -48,7 +49,7 @@ def gather_votes(
     instance = np.full(len(middles_world), NOISE, dtype=np.int64)
     if len(middles):
         distance, nearest = cKDTree(middles).query(middles_world)
-        mine = distance <= MAX_SHARE_LEFT * reach_m
+        mine = distance <= MAX_REACHES * reach_m
         instance[mine] = nearest[mine]
     return instance, middles
 
@@ -75,19 +76,32 @@ def _peaks(
     for start in np.argsort(-density, kind="stable"):
         if density[start] < min_points / 2:
             break
-        if left[start] == 0:
+        if _too_near(cells[start], middles, reach_m):
             continue
-        middle = cells[start]
-        for _ in range(ROUNDS):
-            around = np.array(tree.query_ball_point(middle, reach_m))
-            if left[around].sum() == 0:
-                break
-            middle = np.average(cells[around], axis=0, weights=left[around])
+        middle = _settled(cells[start], cells, left, tree, reach_m)
+        if _too_near(middle, middles, reach_m):
+            continue
         around = np.array(tree.query_ball_point(middle, reach_m), dtype=np.intp)
         size = left[around].sum()
         left[around] = 0.0
-        left[start] = 0.0
         if size >= min_points:
             middles.append(middle)
             sizes.append(float(size))
     return np.array(middles).reshape(-1, 3), np.array(sizes)
+
+
+def _too_near(middle: np.ndarray, others: list[np.ndarray], reach_m: float) -> bool:
+    """Whether a middle lies so near to another that both are of one instance."""
+    return any(np.linalg.norm(middle - other) < 2 * reach_m for other in others)
+
+
+def _settled(
+    middle: np.ndarray, cells: np.ndarray, left: np.ndarray, tree: cKDTree, reach_m: float
+) -> np.ndarray:
+    """Move a middle (3,) to the mean of the votes around it, a few times."""
+    for _ in range(ROUNDS):
+        around = np.array(tree.query_ball_point(middle, reach_m), dtype=np.intp)
+        if left[around].sum() == 0:
+            break
+        middle = np.average(cells[around], axis=0, weights=left[around])
+    return middle
