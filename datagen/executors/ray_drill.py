@@ -32,7 +32,9 @@ from codediffuser.datagen.task import get_task
 from codediffuser.errors import BelowTargetError
 from codediffuser.files import TEMPORARY_PREFIX
 
-NODE = {"num_cpus": 1, "object_store_memory": 80_000_000, "node_ip_address": "127.0.0.1"}
+NODE = {"num_cpus": 1, "object_store_memory": 80_000_000, "node_ip_address": "127.0.0.2"}
+"""Bound to the machine itself, by an address that `ray.init` does not take for a name of the
+machine's own: 127.0.0.1 it replaces by one at which nothing listens."""
 
 
 @dataclass(frozen=True, slots=True)
