@@ -85,7 +85,9 @@ def test_robomimic_reads_it(export: Callable[..., Any]) -> None:
             assert np.array_equal(depth, millimetres(episode, 1, camera))
         masks = {n: file[f"mask/{n}"][:].tolist() for n in ("train", "valid")}
         assert sorted(masks["train"] + masks["valid"]) == [b"demo_0", b"demo_1"]
-    dataset_module = pytest.importorskip("robomimic.utils.dataset", reason="pip install robomimic")
+    dataset_module = pytest.importorskip(
+        "robomimic.utils.dataset", reason="pip install robomimic, needs CMake"
+    )
     dataset = dataset_module.SequenceDataset(
         hdf5_path=str(root / "demo.hdf5"), obs_keys=["state", f"{camera}_image"],
         dataset_keys=["actions", "rewards", "dones"], seq_length=3, load_next_obs=False,
