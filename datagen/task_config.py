@@ -104,6 +104,9 @@ class ClusterConfig(Strict):
     vote_reach_m: float | None = Field(default=None, gt=0)
     """Where features tell the middle of the instance that a point belongs to: votes this near to
     one middle are votes for it. Below half the distance between the middles of two instances."""
+    vote_weights: Vector3 = (1.0, 1.0, 1.0)
+    """How much a distance between votes counts along each axis of the world: little along an axis
+    on which instances do not differ, as books of one row in depth and height."""
 
 
 class LabelingConfig(Strict):

@@ -137,7 +137,8 @@ def _is(category: str, number: np.ndarray, library: ReferenceLibrary) -> np.ndar
 def _part(points: np.ndarray, middles: np.ndarray | None, sizes: ClusterConfig) -> np.ndarray:
     """Instance (N,) of each point of one category, `NOISE` for none."""
     if middles is not None and sizes.vote_reach_m is not None:
-        instance, _ = gather_votes(middles, sizes.vote_reach_m, sizes.min_points, sizes.min_share)
+        weighted = middles * np.array(sizes.vote_weights, dtype=np.float32)
+        instance, _ = gather_votes(weighted, sizes.vote_reach_m, sizes.min_points, sizes.min_share)
         return instance
     even = farthest_point_indices(points, EVEN_POINTS)
     return _spread(points, even, cluster_points(points[even], sizes), sizes)
