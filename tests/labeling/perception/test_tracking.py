@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ from scipy.spatial.transform import Rotation
 from codediffuser.datagen.episode import Episode
 from codediffuser.datagen.task import get_task
 from codediffuser.errors import LabelError
+from codediffuser.labeling.attention import AttentionField
 from codediffuser.labeling.auto import start_cloud
 from codediffuser.labeling.ground_truth import ground_truth_labels
+from codediffuser.labeling.motion import RecordedMotion
 from codediffuser.labeling.perception.fitting import evidence, fit_rigid
 from codediffuser.labeling.perception.tracking import track_object
 from codediffuser.labeling.perception.views import View
@@ -78,6 +81,25 @@ def test_a_carried_object_is_followed_without_its_poses(
         assert np.linalg.norm(off) < 0.005, k
     assert track.held.all()
     assert track.T_now_start.shape == (episode.num_frames, 4, 4)
+
+
+def test_a_found_object_moves_by_its_track(
+    write_battery_episode: Callable[..., Path], tmp_path: Path
+) -> None:
+    episode = Episode.open(write_battery_episode(tmp_path, num_steps=12))
+    task, trajectory = get_task(episode.scene.task), episode.trajectory
+    T_start = {"battery_0": trajectory.T_world_object("battery_0", 0)}
+    true, _ = ground_truth_labels(task, episode.scene, T_start, start_cloud(episode, task))
+    found = replace(true, instance_id="found_battery_0", follows="found_battery_0")
+    motion = RecordedMotion(episode, [found])
+    expected = RecordedMotion(episode, [true])
+    for k in (0, 5, 11):
+        field, carried = AttentionField([found], motion.at(0)), motion.at(k)
+        points, _ = field.carried(carried)
+        truth, _ = AttentionField([true], expected.at(0)).carried(expected.at(k))
+        np.testing.assert_allclose(points, truth, atol=0.005)
+        assert motion.confidence(k) > 0.5
+    assert expected.confidence(5) == 1.0
 
 
 def test_an_object_without_points_is_refused(
