@@ -42,6 +42,7 @@ class Panel:
         self._saved = gui.add_html("")
         self._progress: Any = gui.add_progress_bar(0.0, color="orange")
         self._notes = gui.add_html("")
+        self._mode = gui.add_html("")
         submit = gui.add_button("Submit and next  (Enter)", color="orange")
         submit.on_click(_then(lambda: calls.act("submit")))
         for label, buttons in BUTTONS.items():
@@ -69,6 +70,7 @@ class Panel:
                 group.on_click(_chosen(group, {a.capitalize(): a for a in actions}, calls.act))
         show_keys = gui.add_button("Keys  (H)", color="gray")
         show_keys.on_click(_then(lambda: calls.act("help")))
+        self._references = gui.add_html("")
         self._commands = [self._command(key.label, key.hotkey, key.action, calls) for key in KEYS]
 
     def _command(self, label: str, hotkey: str, action: Action, calls: PanelCalls) -> Any:
@@ -97,6 +99,14 @@ class Panel:
     def show_saved(self, session: Session, *, saving: bool) -> None:
         """Say whether everything is on disk."""
         self._saved.content = saved_line(session, saving=saving)
+
+    def show_references(self, line: str) -> None:
+        """Show the line of HTML of reference mode."""
+        self._references.content = line
+
+    def show_mode(self, content: str) -> None:
+        """Say in HTML what clicks mean in a special mode; empty for none."""
+        self._mode.content = content
 
     def show_sheet(self, sheet: np.ndarray) -> None:
         """Show the camera pictures."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-import viser
 
 from codediffuser.errors import LabelError
 from codediffuser.labeling.gui.episode_scene import EpisodeScene
@@ -20,19 +21,23 @@ class ReferenceTool:
     """What the mode shows and does; off until `toggle`.
 
     Args:
-        client: The tab.
+        show_line: Puts a line of HTML into the panel.
         stage: Where pictures are clicked.
         book: Where references go; None for a server without a feature backend.
         operator: Who makes them.
     """
 
     def __init__(
-        self, client: viser.ClientHandle, stage: Stage, book: ReferenceBook | None, operator: str
+        self,
+        show_line: Callable[[str], None],
+        stage: Stage,
+        book: ReferenceBook | None,
+        operator: str,
     ) -> None:
         self.active = False
         self._stage, self._book, self._operator = stage, book, operator
         self._turn = 0
-        self._line = client.gui.add_html("")
+        self._show_line = show_line
 
     def toggle(self, scene: EpisodeScene | None) -> None:
         """Begin or end the mode.
@@ -85,14 +90,14 @@ class ReferenceTool:
         """Show the library, and the marks of the picture."""
         photo = self._stage.photo
         if not self.active or scene is None or self._book is None:
-            self._line.content = ""
+            self._show_line("")
             if photo is not None:
                 photo.mark(np.zeros((0, 2)), np.zeros((0, 3), np.uint8))
             return
         categories = self._book.categories(scene)
         library = self._book.read()
-        self._line.content = reference_line(
-            library, self._book.backend, categories, self._category(scene)
+        self._show_line(
+            reference_line(library, self._book.backend, categories, self._category(scene))
         )
         if photo is not None:
             marked = self._book.marked(scene, photo.camera)

@@ -50,7 +50,10 @@ class Tab:
         self._panel = Panel(client, calls, self._prelabel)
         self._stage = Stage(client)
         self._references = ReferenceTool(
-            client, self._stage, session.desk.references, session.operator
+            self._panel.show_references,
+            self._stage,
+            session.desk.references,
+            session.operator,
         )
         self._reel = Reel(session, self._panel, self._stage, self._post)
         client.scene.on_click()(cast(Any, self._on_click))
