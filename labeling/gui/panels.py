@@ -70,7 +70,6 @@ class Panel:
                 group.on_click(_chosen(group, {a.capitalize(): a for a in actions}, calls.act))
         show_keys = gui.add_button("Keys  (H)", color="gray")
         show_keys.on_click(_then(lambda: calls.act("help")))
-        self._references = gui.add_html("")
         self._commands = [self._command(key.label, key.hotkey, key.action, calls) for key in KEYS]
 
     def _command(self, label: str, hotkey: str, action: Action, calls: PanelCalls) -> Any:
@@ -99,10 +98,6 @@ class Panel:
     def show_saved(self, session: Session, *, saving: bool) -> None:
         """Say whether everything is on disk."""
         self._saved.content = saved_line(session, saving=saving)
-
-    def show_references(self, line: str) -> None:
-        """Show the line of HTML of reference mode."""
-        self._references.content = line
 
     def show_mode(self, content: str) -> None:
         """Say in HTML what clicks mean in a special mode; empty for none."""

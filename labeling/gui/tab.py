@@ -50,7 +50,7 @@ class Tab:
         self._panel = Panel(client, calls, self._prelabel)
         self._stage = Stage(client)
         self._references = ReferenceTool(
-            self._panel.show_references,
+            self._panel.show_mode,
             self._stage,
             session.desk.references,
             session.operator,
