@@ -260,7 +260,8 @@ def calibrate_threshold(same: np.ndarray, different: np.ndarray) -> float:
         one. Within [0.01, 1].
     """
     values = np.unique(np.concatenate([same, different]))
-    cuts = np.append((values[1:] + values[:-1]) / 2, values[-1])
+    # The last cut lies above all values: it keeps nothing.
+    cuts = np.append((values[1:] + values[:-1]) / 2, values[-1] + 1e-6)
     missed = np.mean(same[None, :] < cuts[:, None], axis=1)
     wrong = np.mean(different[None, :] >= cuts[:, None], axis=1)
     total = missed + wrong

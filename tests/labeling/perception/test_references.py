@@ -134,6 +134,8 @@ def test_the_threshold_is_calibrated_by_the_references(library: ReferenceLibrary
 
 def test_the_threshold_lies_in_the_gap_or_where_errors_are_fewest() -> None:
     assert calibrate_threshold(np.array([0.8, 0.9]), np.array([0.2, 0.4])) == pytest.approx(0.6)
+    # Also where all of one kind are exactly alike: not at them, but half way.
+    assert calibrate_threshold(np.array([1.0, 1.0]), np.array([0.0, 0.0])) == pytest.approx(0.5)
     overlapping = calibrate_threshold(np.array([0.3, 0.7, 0.8, 0.9]), np.array([0.1, 0.2, 0.5]))
     assert overlapping == pytest.approx(0.6)
     assert calibrate_threshold(np.array([-0.5]), np.array([-0.9])) == 0.01
