@@ -73,6 +73,7 @@ def write_cloud(file: Any, path: str, source: Source, config: CloudConfig) -> No
     """Write the clouds of an episode, (T, N, 5) float32, see `features.POINT_CHANNELS`."""
     points = episode_columns(source.folder, config).points
     shape = (len(points), config.num_points, CLOUD_CHANNELS)
+    make_groups(file, path)
     file.create_dataset(path, data=points.reshape(shape), chunks=(1, *shape[1:]))
 
 
@@ -112,7 +113,21 @@ def open_part(folder: Path, mode: str = "r") -> Any:
     return h5py.File(folder / PART, mode, libver="latest")
 
 
+def put(file: Any, path: str, values: np.ndarray) -> None:
+    """Write an array at a path of a part."""
+    make_groups(file, path)
+    file[path] = values
+
+
+def make_groups(file: Any, path: str) -> None:
+    """Create the groups above a path one by one: those that HDF5 makes on the way note the time."""
+    group = file
+    for name in path.split("/")[:-1]:
+        group = group.require_group(name)
+
+
 def _dataset(file: Any, path: str, length: int, shape: tuple[int, ...], dtype: type) -> Any:
+    make_groups(file, path)
     return file.create_dataset(
         path, (length, *shape), dtype, chunks=(1, *shape), compression="gzip", compression_opts=1
     )

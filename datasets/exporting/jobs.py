@@ -99,7 +99,7 @@ def make_parts(jobs: Sequence[PartJob], workers: int) -> Iterator[tuple[str, boo
     for outcome in run_tasks(ensure_part, jobs, workers=workers, timeout_s=TIMEOUT_S):
         name = outcome.task.part.episode_folder.name
         if outcome.error:
-            raise DatasetError(f"episode {name}: {outcome.error}")
+            raise DatasetError(f"episode {name}: {outcome.reason}")
         yield name, bool(outcome.value)
 
 

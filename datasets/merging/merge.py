@@ -124,5 +124,5 @@ def _bring(jobs: Sequence[FileJob], workers: int) -> Iterator[str]:
     slowest_s = 60.0 + max(math.ceil(job.source.stat().st_size / 1e6) for job in jobs)
     for outcome in run_tasks(bring_over, jobs, workers=workers, timeout_s=slowest_s):
         if outcome.value is None:
-            raise DatasetError(f"{outcome.task.source}: could not be merged: {outcome.error}")
+            raise DatasetError(f"{outcome.task.source}: could not be merged: {outcome.reason}")
         yield outcome.task.source.name

@@ -60,7 +60,7 @@ def verify_merge(merged: Path, sources: Sequence[Source], *, workers: int = 1) -
         return
     for outcome in run_tasks(_verify, jobs, workers=workers):
         if outcome.value is None:
-            raise DatasetError(f"{outcome.task.source}: could not be verified: {outcome.error}")
+            raise DatasetError(f"{outcome.task.source}: could not be verified: {outcome.reason}")
         yield outcome.value
 
 

@@ -178,13 +178,6 @@ class ScriptedOperator:
         """Move the mouse to a place of the page."""
         self.page.mouse.move(*at)
 
-    def drag(self, start: tuple[float, float], stop: tuple[float, float]) -> None:
-        """Draw a box."""
-        self.page.mouse.move(*start)
-        self.page.mouse.down()
-        self.page.mouse.move(*stop, steps=5)
-        self.page.mouse.up()
-
     def screenshot(self) -> bytes:
         """PNG of the page."""
         return bytes(self.page.screenshot())

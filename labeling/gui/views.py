@@ -222,11 +222,10 @@ class CloudView:
         self._low, self._high = np.array(box.low_m), np.array(box.high_m)
         self._client = client
         self._root = client.scene.add_frame("/cloud", show_axes=False)
-        self._cloud: Any = None
 
     def show(self, points: np.ndarray, rgb: np.ndarray) -> None:
         """Show another cloud (N, 3) with colours (N, 3) uint8."""
-        self._cloud = self._client.scene.add_point_cloud(
+        self._client.scene.add_point_cloud(
             "/cloud/points", points, rgb, point_size=0.002, point_shape="circle",
             point_shading="flat", precision="float32",
         )  # fmt: skip

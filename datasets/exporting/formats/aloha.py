@@ -23,6 +23,7 @@ from codediffuser.datasets.exporting.h5_parts import (
     PicturePaths,
     joint_states,
     open_part,
+    put,
     write_pictures,
 )
 from codediffuser.datasets.exporting.part import Part
@@ -54,9 +55,9 @@ class AlohaFormat(ExportFormat):
         names, qpos, qvel = joint_states(episode)
         with open_part(folder, "w") as file:
             file["action"] = episode.actions
-            file["observations/qpos"] = qpos.astype(np.float32)
-            file["observations/qvel"] = qvel.astype(np.float32)
-            file["observations/state"] = episode.state
+            put(file, "observations/qpos", qpos.astype(np.float32))
+            put(file, "observations/qvel", qvel.astype(np.float32))
+            put(file, "observations/state", episode.state)
             write_pictures(file, source, self.options, PATHS, self.labelled)
             file.attrs["sim"] = manifest.source == "simulation"
             file.attrs["compress"] = False

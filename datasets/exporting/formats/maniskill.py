@@ -28,7 +28,9 @@ from codediffuser.datasets.exporting.format import FORMATS, ExportFormat, same_f
 from codediffuser.datasets.exporting.h5_parts import (
     PicturePaths,
     copy_group,
+    make_groups,
     open_part,
+    put,
     write_cloud,
     write_pictures,
 )
@@ -76,8 +78,8 @@ class ManiSkillFormat(ExportFormat):
             file["truncated"] = succeeds
             file["success"] = succeeds & source.manifest.success
             _write_states(file, recorded, source.manifest.task)
-            file["obs/agent/qpos"] = recorded.qpos.astype(np.float32)
-            file["obs/agent/qvel"] = recorded.qvel.astype(np.float32)
+            put(file, "obs/agent/qpos", recorded.qpos.astype(np.float32))
+            put(file, "obs/agent/qvel", recorded.qvel.astype(np.float32))
             if self.options.profile == "pointcloud":
                 write_cloud(file, "obs/pointcloud", source, self.options.cloud)
             else:
@@ -140,13 +142,12 @@ def _write_states(file: Any, recorded: Trajectory, task: str) -> None:
         [recorded.object_position_m, recorded.object_quat_wxyz, recorded.object_velocity], axis=-1
     ).astype(np.float32)
     for i, name in enumerate(recorded.object_ids):
-        file[f"env_states/actors/{name}"] = objects[:, i]
+        put(file, f"env_states/actors/{name}", objects[:, i])
     base = base_pose(get_task(task).config.robot)
     moments = len(recorded.qpos)
     root = np.concatenate([base.p, base.q, np.zeros(6)])
-    file[f"env_states/articulations/{ROBOT_UID}"] = np.concatenate(
-        [np.tile(root, (moments, 1)), recorded.qpos, recorded.qvel], axis=1
-    ).astype(np.float32)
+    robot = np.concatenate([np.tile(root, (moments, 1)), recorded.qpos, recorded.qvel], axis=1)
+    put(file, f"env_states/articulations/{ROBOT_UID}", robot.astype(np.float32))
 
 
 def _write_camera(file: Any, name: str, camera: Camera, length: int) -> None:
@@ -159,7 +160,9 @@ def _write_camera(file: Any, name: str, camera: Camera, length: int) -> None:
         ("cam2world_gl", camera.T_world_camera @ GL_FROM_CV),
     ):
         repeated = np.tile(value, (length, 1, 1)).astype(np.float32)
-        file.create_dataset(f"obs/sensor_param/{name}/{key}", data=repeated, compression="gzip")
+        path = f"obs/sensor_param/{name}/{key}"
+        make_groups(file, path)
+        file.create_dataset(path, data=repeated, compression="gzip")
 
 
 def _episode_entry(index: int, manifest: EpisodeManifest, scene: dict[str, Any]) -> dict[str, Any]:

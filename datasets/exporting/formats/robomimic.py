@@ -23,6 +23,7 @@ from codediffuser.datasets.exporting.h5_parts import (
     copy_group,
     joint_states,
     open_part,
+    put,
     write_cloud,
     write_pictures,
 )
@@ -58,8 +59,8 @@ class RobomimicFormat(ExportFormat):
         length = episode.num_frames
         with open_part(folder, "w") as file:
             file["actions"] = episode.actions
-            file["obs/state"] = episode.state
-            file["obs/joint_positions"] = joint_states(episode)[1].astype(np.float32)
+            put(file, "obs/state", episode.state)
+            put(file, "obs/joint_positions", joint_states(episode)[1].astype(np.float32))
             # Sparse: what is exported succeeded, and does so at its end.
             last = np.arange(length) == length - 1
             file["rewards"] = last.astype(np.float64)

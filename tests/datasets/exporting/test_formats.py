@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -204,6 +205,19 @@ def test_a_grown_run_encodes_only_what_is_new(
     again = list(convert_run(run, to=to, config=small_config))
     assert [(p.episode_id, p.reused) for p in again] == [("000001", False), ("000002", True)]
     assert contents(root) == whole
+
+
+@pytest.mark.parametrize("to", ["robomimic", "aloha", "maniskill"])
+def test_files_do_not_depend_on_the_clock(
+    to: str, labelled_run: Callable[..., Path], small_config: CloudConfig, tmp_path: Path
+) -> None:
+    run, found = labelled_run(1), []
+    for out in (tmp_path / "early", tmp_path / "late"):
+        for _ in convert_run(run, to=to, profile="portable", config=small_config, out=out):
+            pass
+        found.append([p.read_bytes() for p in sorted(out.glob("*.h*5"))])
+        time.sleep(1.1)  # HDF5 notes whole seconds
+    assert found[0] and found[0] == found[1]
 
 
 @pytest.mark.parametrize("to", FORMATS)
