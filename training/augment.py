@@ -8,6 +8,10 @@ import torch
 from torch import Tensor
 
 ATTENDED = 0.5
+OPEN = 0.8
+"""Scaled opening beyond which the hand holds nothing and its fingers do not move."""
+CLOSED = -0.5
+"""Scaled opening below which the hand holds something."""
 NEAR_M = 0.05
 """Distance over which the chance of a wrong point near the target falls by e."""
 
@@ -53,6 +57,31 @@ def augment_clouds(clouds: Tensor, options: Augmentation) -> Tensor:
     attention = attention.masked_fill(lost, 0.0).masked_fill(gained, 1.0)
     xyz = xyz + options.point_noise_m * torch.randn_like(xyz)
     return torch.cat([xyz, attention], dim=-1)
+
+
+def displace_hand(
+    clouds: Tensor, actions: Tensor, opening: Tensor, *, probability: float, size_m: float
+) -> tuple[Tensor, Tensor]:
+    """Show the scene as if the open hand were elsewhere, with the actions that are then right.
+
+    They are those that lead to the same places in the world, so a hand that is off comes back and
+    grasps at the centre. A hand that holds something is left alone: where it has to go is known
+    best from its own pose, which this would contradict, and it was seen to place less precisely.
+
+    Args:
+        clouds: (B, To, N, 3 + C) float32, world.
+        actions: (B, T, 10), world.
+        opening: (B,) present finger opening from -1 (as closed as ever seen) to 1.
+        probability: Share of samples that are displaced.
+        size_m: Standard deviation along each axis.
+
+    Returns:
+        Clouds and actions.
+    """
+    happens = (torch.rand_like(opening) < probability) & (opening > OPEN)
+    offset = size_m * happens[:, None] * torch.randn(len(opening), 3, device=opening.device)
+    clouds = torch.cat([clouds[..., :3] - offset[:, None, None], clouds[..., 3:]], dim=-1)
+    return clouds, torch.cat([actions[..., :3] - offset[:, None], actions[..., 3:]], dim=-1)
 
 
 def _shares(clouds: Tensor, probability: float, largest: float) -> Tensor:

@@ -86,18 +86,18 @@ def train(
     with _threads(config.num_threads):
         cache = WindowCache.open(dataset_root(run))
         train_on, hold_out = _split(cache, config)
-        trainer, learn, check = _prepare(cache, config, train_on, hold_out)
-        claim_folder(out, _record(cache, config, train_on, hold_out), overwrite=overwrite)
-        _resume(trainer, out)
-        yield from _steps(trainer, learn, check, out, _document(cache, len(train_on)))
+        trainer, check = _prepare(cache, config, train_on, hold_out)
+        with contextlib.closing(trainer):
+            if trainer.writes:
+                record = _record(cache, config, train_on, hold_out)
+                claim_folder(out, record, overwrite=overwrite)
+            trainer.accelerator.wait_for_everyone()
+            _resume(trainer, out)
+            yield from _steps(trainer, check, out, _document(cache, len(train_on)))
 
 
 def _steps(
-    trainer: Trainer,
-    learn: Windows,
-    check: Windows | None,
-    out: Path,
-    document: PolicyDocument,
+    trainer: Trainer, check: Windows | None, out: Path, document: PolicyDocument
 ) -> Iterator[TrainProgress]:
     """The loop itself: steps, and at their intervals reports, validations and checkpoints.
 
@@ -109,7 +109,7 @@ def _steps(
         return
     losses, started, ends = [], time.perf_counter(), False
     while not ends:
-        losses.append(trainer.train_step(learn))
+        losses.append(trainer.train_step())
         spent_s = time.perf_counter() - started
         ends = trainer.step == total or _over_time(trainer, spent_s)
         saves = ends or trainer.step % config.checkpoint_every_steps == 0
@@ -119,18 +119,27 @@ def _steps(
         trainer.elapsed_s += spent_s
         measured = trainer.validate(check) if checks and check is not None else None
         progress = _progress(trainer, losses, spent_s, measured)
-        append_row(out, {**asdict(progress), "checkpoint": None, "elapsed_s": trainer.elapsed_s})
-        if saves:
-            folder = save_checkpoint(out, trainer, document, config.keep_checkpoints)
-            progress = replace(progress, checkpoint=folder)
-            plot_log(out)
+        if trainer.writes:
+            progress = _write(trainer, out, progress, document if saves else None)
         yield progress
         losses, started = [], time.perf_counter()
 
 
 def _over_time(trainer: Trainer, spent_s: float) -> bool:
     limit = trainer.config.max_minutes
-    return limit is not None and trainer.elapsed_s + spent_s >= 60 * limit
+    return limit is not None and trainer.any_process(trainer.elapsed_s + spent_s >= 60 * limit)
+
+
+def _write(
+    trainer: Trainer, out: Path, progress: TrainProgress, document: PolicyDocument | None
+) -> TrainProgress:
+    """Write a row of the log and, given a document, a checkpoint."""
+    append_row(out, {**asdict(progress), "checkpoint": None, "elapsed_s": trainer.elapsed_s})
+    if document is None:
+        return progress
+    folder = save_checkpoint(out, trainer, document, trainer.config.keep_checkpoints)
+    plot_log(out)
+    return replace(progress, checkpoint=folder)
 
 
 def _progress(
@@ -193,8 +202,8 @@ def _document(cache: WindowCache, num_episodes: int) -> PolicyDocument:
 
 def _prepare(
     cache: WindowCache, config: TrainConfig, train_on: list[int], hold_out: list[int]
-) -> tuple[Trainer, Windows, Windows | None]:
-    """Build the trainer, the windows to learn from and those to check with."""
+) -> tuple[Trainer, Windows | None]:
+    """Build the trainer and the windows to check with."""
     from codediffuser.training.build import policy_config
     from codediffuser.training.policies.attention_diffusion.frame import measure_ranges
     from codediffuser.training.trainer import Trainer
@@ -204,9 +213,8 @@ def _prepare(
     ranges = measure_ranges(
         cache.state, cache.action, cache.episode_starts, frame=options.frame, **shape
     )
-    learn = cache.windows(train_on, **shape)
-    check = cache.windows(hold_out, **shape) if hold_out else None
-    return Trainer(config, options, ranges, len(learn)), learn, check
+    trainer = Trainer(config, options, ranges, cache.windows(train_on, **shape))
+    return trainer, cache.windows(hold_out, **shape) if hold_out else None
 
 
 def _resume(trainer: Trainer, out: Path) -> None:
@@ -223,7 +231,8 @@ def _resume(trainer: Trainer, out: Path) -> None:
                 "one before, or start anew with --overwrite"
             ) from None
         logger.info("continuing at step %d from %s", trainer.step, newest)
-    cut_log(out, trainer.step)
+    if trainer.writes:
+        cut_log(out, trainer.step)
 
 
 @contextlib.contextmanager

@@ -29,6 +29,7 @@ from codediffuser.training.policies.attention_diffusion.modeling_attention_diffu
 from codediffuser.training.policies.attention_diffusion.processor_attention_diffusion import (
     make_attention_diffusion_pre_post_processors,
 )
+from codediffuser.training.prefetch import Prefetcher
 
 if TYPE_CHECKING:
     from lerobot.optim.schedulers import LRScheduler
@@ -41,6 +42,9 @@ CLOCK = "elapsed.json"
 
 class Windows(Protocol):
     """What a trainer needs of `datasets.cache.WindowSampler`."""
+
+    def __len__(self) -> int:
+        """Frames to draw from."""
 
     def sample(self, rng: np.random.Generator, batch_size: int) -> dict[str, np.ndarray]:
         """Draw windows."""
@@ -65,7 +69,7 @@ class Trainer:
         config: The run.
         options: Of the policy.
         ranges: Ranges of the poses in the policy's frame.
-        num_frames: Frames of the training episodes.
+        windows: What to learn from.
     """
 
     def __init__(
@@ -73,7 +77,7 @@ class Trainer:
         config: TrainConfig,
         options: AttentionDiffusionConfig,
         ranges: PoseRanges,
-        num_frames: int,
+        windows: Windows,
     ) -> None:
         self.config = config
         self.step = 0
@@ -89,7 +93,7 @@ class Trainer:
             policy = AttentionDiffusionPolicy(options, ranges=ranges)
         self.policy = policy.to(self.accelerator.device)
         self.total_steps, schedule_steps = config.planned_steps(
-            num_frames, self.accelerator.num_processes
+            len(windows), self.accelerator.num_processes
         )
         preset = options.get_optimizer_preset()
         self._clip = preset.grad_clip_norm
@@ -101,19 +105,32 @@ class Trainer:
         )
         self._average = WeightAverage(policy, config.ema)
         self._model, self._optimizer = self.accelerator.prepare(policy, self._plain_optimizer)
+        self._windows = windows
+        self._batches = Prefetcher(self._draw)
+
+    @property
+    def writes(self) -> bool:
+        """Whether this process writes files; of several, one does."""
+        return bool(self.accelerator.is_main_process)
+
+    def any_process(self, flag: bool) -> bool:
+        """Whether any of the processes says so; all get the same answer."""
+        if self.accelerator.num_processes == 1:
+            return flag
+        said = torch.tensor(float(flag), device=self.accelerator.device)
+        return bool(self.accelerator.reduce(said, "sum") > 0)
 
     @property
     def learning_rate(self) -> float:
         """Of the next step."""
         return float(self._schedule.get_last_lr()[0])
 
-    def train_step(self, windows: Windows) -> Tensor:
-        """Draw a batch, take one optimiser step, and return its loss, detached."""
-        rng = rng_for(self.config.seed, Stage.TRAIN, self.step + 1, self.accelerator.process_index)
-        batch = self._to_device(windows.sample(rng, self.config.batch_size))
+    def train_step(self) -> Tensor:
+        """Take one optimiser step and return its loss, detached."""
+        batch, seed = self._batches.get(self.step + 1)
         self._model.train()
-        with self._seeded(rng), self.accelerator.autocast():
-            loss, _ = self._model(batch)
+        with self._seeded(seed), self.accelerator.autocast():
+            loss, _ = self._model(self._to_device(batch))
         self.accelerator.backward(loss)
         if self._clip > 0:
             self.accelerator.clip_grad_norm_(self._model.parameters(), self._clip)
@@ -131,7 +148,7 @@ class Trainer:
         batch = self._to_device(windows.sample(rng, VALIDATION_WINDOWS))
         policy = self.policy.eval()
         start = policy.config.n_obs_steps - 1
-        with self._average.applied(), self._seeded(rng):
+        with self._average.applied(), self._seeded(int_seed(rng)):
             loss, _ = policy(batch)
             planned = policy.predict_action_chunk(batch)
         shown = batch[ACTION][:, start : start + planned.shape[1]]
@@ -166,14 +183,23 @@ class Trainer:
         clock = json.loads((state_folder / CLOCK).read_text(encoding="utf-8"))
         self.elapsed_s = float(clock["elapsed_s"])
 
+    def close(self) -> None:
+        """Stop what runs in the background."""
+        self._batches.close()
+
+    def _draw(self, step: int) -> tuple[dict[str, np.ndarray], int]:
+        """Batch of a step, and the seed of torch's numbers in it."""
+        rng = rng_for(self.config.seed, Stage.TRAIN, step, self.accelerator.process_index)
+        return self._windows.sample(rng, self.config.batch_size), int_seed(rng)
+
     def _to_device(self, batch: dict[str, np.ndarray]) -> dict[str, Tensor]:
         device = self.accelerator.device
         return {key: torch.from_numpy(value).to(device) for key, value in batch.items()}
 
     @contextlib.contextmanager
-    def _seeded(self, rng: np.random.Generator) -> Iterator[None]:
-        """Draw torch's numbers from an address for a block; the caller's generators are kept."""
+    def _seeded(self, seed: int) -> Iterator[None]:
+        """Draw torch's numbers from a seed for a block; the caller's generators are kept."""
         device = self.accelerator.device
         with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
-            torch.manual_seed(int_seed(rng))
+            torch.manual_seed(seed)
             yield

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
+import pytest
 import torch
 
-from codediffuser.training.augment import Augmentation, augment_clouds
+from codediffuser.training.augment import Augmentation, augment_clouds, displace_hand
 
 OFF = Augmentation(0.0, 0.0, 0.0, 0.0, 0.0)
 SWAP = Augmentation(1.0, 0.2, 0.0, 0.0, 0.0)
@@ -71,3 +72,30 @@ def test_clouds_without_attention_stay_without() -> None:
     before = clouds()
     before[..., 3:] = 0
     assert augment_clouds(before, SWAP)[..., 3:].abs().max() == 0
+
+
+def displaced(opening: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """How clouds (B, 3) and actions (B, 3) of open or closed hands moved."""
+    before, actions = clouds(200), torch.zeros(200, 16, 10)
+    torch.manual_seed(1)
+    after, moved = displace_hand(
+        before, actions, torch.full((200,), opening), probability=0.5, size_m=0.01
+    )
+    scene = (after - before)[..., :3]
+    assert torch.allclose(scene, scene[:, :1, :1].expand_as(scene), atol=1e-6)
+    assert torch.equal(after[..., 3:], before[..., 3:])
+    assert moved[..., 3:].abs().max() == 0
+    return scene[:, 0, 0], moved[:, 0, :3]
+
+
+def test_an_open_hand_that_is_off_goes_to_the_same_places_in_the_world() -> None:
+    scene, actions = displaced(opening=1.0)
+    assert torch.allclose(scene, actions, atol=1e-6)
+    assert 0.4 < (scene.norm(dim=-1) > 0).float().mean() < 0.6
+    assert 0.008 < scene[scene.norm(dim=-1) > 0].std() < 0.012
+
+
+@pytest.mark.parametrize("opening", [-1.0, 0.3])
+def test_a_hand_that_holds_something_or_moves_its_fingers_is_left_alone(opening: float) -> None:
+    scene, actions = displaced(opening)
+    assert scene.abs().max() == 0 and actions.abs().max() == 0

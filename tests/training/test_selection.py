@@ -18,6 +18,7 @@ from codediffuser.training.policies.attention_diffusion.selection import (
 )
 
 HAND = torch.tensor([[0.0, 0.0, 0.3]])
+OPENED, CLOSED = torch.tensor([False]), torch.tensor([True])
 PICK, PLACE = torch.tensor([0.1, 0.0, 0.03]), torch.tensor([-0.1, 0.1, 0.02])
 
 
@@ -40,10 +41,24 @@ def cloud(seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
 
 def test_crop_takes_attended_points_and_points_near_the_hand() -> None:
     xyz, attention = cloud()
-    chosen = select(xyz, attention, HAND, options())
+    chosen = select(xyz, attention, HAND, CLOSED, options())
     assert chosen.xyz.shape == (1, 30, 3)
     assert chosen.attended[0, :12, 0].all() and chosen.attended[0, 12:20, 1].all()
     assert ((chosen.xyz[0, 20:] - HAND).norm(dim=-1) <= 0.12).all()
+
+
+@pytest.mark.parametrize("mode", ["separate", "merged", "none"])
+def test_an_open_hand_hides_the_points_near_it(mode: str) -> None:
+    xyz, attention = cloud()
+    values = merge_channels(attention, mode)
+    config = options(attention_channels=mode, crop_hand_points=30)
+    counts = []
+    for closed in (OPENED, CLOSED):
+        seed = torch.Generator().manual_seed(2)
+        chosen = select(xyz, values, HAND, closed, config, seed)
+        counts.append(int(((chosen.xyz[0, 20:] - HAND).norm(dim=-1) <= 0.12).sum()))
+        assert chosen.xyz.shape == (1, 50, 3)
+    assert counts[1] == 30 and counts[0] < 15
 
 
 def test_crop_does_not_depend_on_the_order_of_points() -> None:
@@ -51,7 +66,7 @@ def test_crop_does_not_depend_on_the_order_of_points() -> None:
     config = options(crop_hand_points=30)
     order = torch.randperm(120, generator=torch.Generator().manual_seed(3))
     for points, values in ((xyz, attention), (xyz[:, order], attention[:, order])):
-        chosen = select(points, values, HAND, config)
+        chosen = select(points, values, HAND, CLOSED, config)
         near = {tuple(p) for p in xyz[0][(xyz[0] - HAND).norm(dim=-1) <= 0.12].tolist()}
         assert {tuple(p) for p in chosen.xyz[0, 20:].tolist()} <= near
         assert chosen.attended[0, :20].any(dim=-1).all()
@@ -60,7 +75,7 @@ def test_crop_does_not_depend_on_the_order_of_points() -> None:
 def test_too_few_attended_points_are_repeated() -> None:
     xyz, attention = cloud()
     attention[0, 3:, 0] = 0
-    chosen = select(xyz, attention, HAND, options())
+    chosen = select(xyz, attention, HAND, CLOSED, options())
     assert {tuple(p) for p in chosen.xyz[0, :12].tolist()} == {
         tuple(p) for p in xyz[0, :3].tolist()
     }
@@ -69,7 +84,7 @@ def test_too_few_attended_points_are_repeated() -> None:
 def test_a_channel_without_points_is_reported_absent_and_harms_nothing() -> None:
     xyz, attention = cloud()
     attention[..., 1] = 0
-    chosen = select(xyz, attention, HAND, options())
+    chosen = select(xyz, attention, HAND, CLOSED, options())
     assert chosen.present.tolist() == [[1.0, 0.0]]
     assert chosen.xyz.isfinite().all() and chosen.centers.isfinite().all()
 
@@ -78,9 +93,9 @@ def test_ablation_none_sees_no_attention_and_crops_without_it() -> None:
     xyz, attention = cloud()
     blind = merge_channels(attention, "none")
     config = options(attention_channels="none")
-    one = select(xyz, blind, HAND, config, torch.Generator().manual_seed(1))
+    one = select(xyz, blind, HAND, CLOSED, config, torch.Generator().manual_seed(1))
     swapped = merge_channels(attention.flip(1), "none")
-    two = select(xyz, swapped, HAND, config, torch.Generator().manual_seed(1))
+    two = select(xyz, swapped, HAND, CLOSED, config, torch.Generator().manual_seed(1))
     assert one.attention.abs().max() == 0 and not one.present.any()
     assert torch.equal(one.xyz, two.xyz)
 
@@ -112,7 +127,7 @@ def test_trimming_keeps_long_targets_whole() -> None:
 def test_strays_lose_their_attention_for_the_network_too() -> None:
     xyz, attention = cloud()
     xyz[0, 0] = torch.tensor([0.0, 0.3, 0.3])
-    chosen = select(xyz, attention, HAND, options(crop=False))
+    chosen = select(xyz, attention, HAND, CLOSED, options(crop=False))
     assert chosen.attention[0, 0, 0] == 0 and not chosen.attended[0, 0, 0]
     assert chosen.attention[0, 1:30, 0].all()
 
@@ -136,7 +151,7 @@ def test_neighbors_beyond_the_radius_are_replaced_by_the_nearest() -> None:
 def test_small_clouds_are_enough(mode: str) -> None:
     xyz, attention = cloud()
     config = options(attention_channels=mode)
-    chosen = select(xyz[:, :5], merge_channels(attention[:, :5], mode), HAND, config)
+    chosen = select(xyz[:, :5], merge_channels(attention[:, :5], mode), HAND, CLOSED, config)
     assert chosen.xyz.isfinite().all()
 
 

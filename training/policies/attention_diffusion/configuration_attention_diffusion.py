@@ -57,10 +57,12 @@ class AttentionDiffusionConfig(PreTrainedConfig):
     """Condition on the centre of each channel's attended points."""
 
     crop: bool = True
-    """Look only at a random part of the attended points and of the points near the hand."""
+    """Look only at a random part of the attended points, and of the points near the hand."""
     crop_pick_points: int = 56
     crop_place_points: int = 40
     crop_hand_points: int = 56
+    """Taken while the hand is closed. Near an open one they would show the policy that
+    `augment_offset` displaced it."""
     hand_radius_m: float = 0.12
     """Points this close to the tool centre, between the finger tips, count as near the hand."""
     tool_offset_m: float = 0.1034
@@ -94,14 +96,18 @@ class AttentionDiffusionConfig(PreTrainedConfig):
     """Leave actions past the end of the episode out of the loss. Off: holding the last pose is what
     a rollout that goes on should do."""
 
-    augment_swap_probability: float = 0.5
+    augment_swap_probability: float = 0.3
     """Share of training samples in which some attended points are swapped for wrong ones."""
     augment_swap_max_share: float = 0.2
     """Up to this share of each channel's attended points."""
-    augment_drop_probability: float = 0.3
+    augment_drop_probability: float = 0.2
     """Share of training samples in which some attended points lose their attention."""
     augment_drop_max_share: float = 0.5
     augment_point_noise_m: float = 0.001
+    augment_offset_probability: float = 0.5
+    """Share of training samples in which an open hand is displaced, see `augment.displace_hand`."""
+    augment_offset_m: float = 0.005
+    """Standard deviation of that along each axis."""
 
     optimizer_lr: float = 1e-3
     optimizer_betas: tuple[float, float] = (0.9, 0.999)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from codediffuser.datasets.features import ACTION, POINTS, STATE
 from codediffuser.errors import ShapeError
-from codediffuser.training.augment import Augmentation, augment_clouds
+from codediffuser.training.augment import CLOSED, Augmentation, augment_clouds, displace_hand
 from codediffuser.training.policies.attention_diffusion import pointnet2  # noqa: F401  registers it
 from codediffuser.training.policies.attention_diffusion.configuration_attention_diffusion import (
     NUM_POINT_CHANNELS,
@@ -116,14 +116,12 @@ class AttentionDiffusionPolicy(PreTrainedPolicy):
         """
         self.frame.check_ready()
         clouds = self._clouds(batch[POINTS])
-        if self.training:
-            clouds = augment_clouds(clouds, self._augmentation())
-        state = batch[STATE]
+        state, action = batch[STATE], batch[ACTION]
         origin = self.frame.origin(state)
+        if self.training:
+            clouds, action = self._augment(clouds, state, action)
         condition = self._condition(clouds, state, origin)
-        loss = self.diffusion.loss(
-            self.unet, self.frame.encode_action(batch[ACTION], origin), condition
-        )
+        loss = self.diffusion.loss(self.unet, self.frame.encode_action(action, origin), condition)
         if self.config.mask_padded_actions:
             real = ~batch["action_is_pad"][None, :, :, None].expand_as(loss)
             return (loss * real).sum() / real.sum().clamp_min(1), {}
@@ -197,7 +195,8 @@ class AttentionDiffusionPolicy(PreTrainedPolicy):
         attention = merge_channels(flat[..., 3:], self.config.attention_channels)
         generator = None if self.training else self._generator
         tool = tool_centers(state, self.config.tool_offset_m).flatten(0, 1)
-        chosen = select(flat[..., :3], attention, tool, self.config, generator)
+        closed = self._opening(state).flatten() < CLOSED
+        chosen = select(flat[..., :3], attention, tool, closed, self.config, generator)
         center = origin.repeat_interleave(steps, dim=0)[:, None]
         parts = [self.encoder(chosen.xyz - center, chosen.attention, chosen.attended)]
         if self.config.use_centroids:
@@ -207,12 +206,21 @@ class AttentionDiffusionPolicy(PreTrainedPolicy):
             parts.append(self.frame.encode_state(state, origin).flatten(0, 1))
         return torch.cat(parts, dim=-1).reshape(batch_size, -1)
 
-    def _augmentation(self) -> Augmentation:
+    def _opening(self, state: Tensor) -> Tensor:
+        """Finger openings (B, To) from -1, as closed as ever seen, to 1."""
+        return self.frame.encode_state(state, self.frame.origin(state))[..., -1]
+
+    def _augment(self, clouds: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         c = self.config
-        return Augmentation(
+        options = Augmentation(
             swap_probability=c.augment_swap_probability,
             swap_max_share=c.augment_swap_max_share,
             drop_probability=c.augment_drop_probability,
             drop_max_share=c.augment_drop_max_share,
             point_noise_m=c.augment_point_noise_m,
         )
+        opening = self._opening(state).amin(dim=1)
+        return displace_hand(
+            augment_clouds(clouds, options), action, opening,
+            probability=c.augment_offset_probability, size_m=c.augment_offset_m,
+        )  # fmt: skip

@@ -99,6 +99,7 @@ def select(
     xyz: Tensor,
     attention: Tensor,
     tool: Tensor,
+    closed: Tensor,
     config: AttentionDiffusionConfig,
     generator: torch.Generator | None = None,
 ) -> Selection:
@@ -108,6 +109,7 @@ def select(
         xyz: (M, N, 3) metres, world.
         attention: (M, N, C) from `merge_channels`.
         tool: (M, 3) metres, world: the tool centre of each cloud's own moment.
+        closed: (M,) bool: from these clouds points near the hand are taken, too.
         config: Options of the policy.
         generator: Source of the random crop.
     """
@@ -116,7 +118,7 @@ def select(
     present = attended.any(dim=1).to(xyz.dtype)
     if not config.crop:
         return Selection(xyz, attention, attended, centers, present)
-    index = _crop(xyz, attended, tool, config, generator)
+    index = _crop(xyz, attended, tool, closed, config, generator)
     attended = take(attended.to(xyz.dtype), index) > 0
     return Selection(take(xyz, index), take(attention, index), attended, centers, present)
 
@@ -126,6 +128,7 @@ def _crop(
     xyz: Tensor,
     attended: Tensor,
     tool: Tensor,
+    closed: Tensor,
     config: AttentionDiffusionConfig,
     generator: torch.Generator | None,
 ) -> Tensor:
@@ -134,13 +137,23 @@ def _crop(
     pick, place = config.crop_pick_points, config.crop_place_points
     if config.attention_channels == "none":
         # Clouds hold more points where attention is, so a random rest would give the targets away.
-        return torch.cat([near, farthest_points(xyz, pick + place)], dim=1)
+        return _join(farthest_points(xyz, pick + place), near, closed)
     quotas = [pick + place] if config.attention_channels == "merged" else [pick, place]
     groups = [
         _random_attended(attended[..., channel], quota, generator)
         for channel, quota in enumerate(quotas)
     ]
-    return torch.cat([*groups, near], dim=1)
+    return _join(torch.cat(groups, dim=1), near, closed)
+
+
+def _join(targets: Tensor, near: Tensor, closed: Tensor) -> Tensor:
+    """Both groups of indices; that of a hand that is not closed is filled with targets again.
+
+    What lies near an open hand would show that `augment.displace_hand` moved it; what lies near a
+    closed one shows how the thing in it stands to the place.
+    """
+    again = torch.arange(near.shape[1], device=near.device) % targets.shape[1]
+    return torch.cat([targets, torch.where(closed[:, None], near, targets[:, again])], dim=1)
 
 
 def _random_attended(mask: Tensor, count: int, generator: torch.Generator | None) -> Tensor:
