@@ -97,8 +97,8 @@ def farthest_point_indices(points: np.ndarray, count: int) -> np.ndarray:
         return np.arange(n, dtype=np.int64)
     if count <= 0:
         return np.zeros(0, dtype=np.int64)
-    # Higher buckets pay only on large clouds; the library asks 2**h to stay well under N.
-    height = 7 if n > 20_000 else 5 if n > 2_000 else 3
+    # Higher buckets pay only on large clouds; the library refuses 2**h > N.
+    height = min(7 if n > 20_000 else 5 if n > 2_000 else 3, n.bit_length() - 1)
     chosen = fpsample.bucket_fps_kdline_sampling(
         np.ascontiguousarray(points, dtype=np.float32),
         count,

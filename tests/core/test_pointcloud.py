@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from codediffuser.errors import ShapeError
@@ -108,6 +108,8 @@ def test_the_box_refuses_what_is_no_cloud() -> None:
         inside_box(np.zeros((4, 3), dtype=np.int64), np.zeros(3), np.ones(3))
 
 
+@example(2, 1, 0)  # fewer points than the buckets of a large cloud
+@example(7, 3, 0)
 @given(st.integers(0, 300), st.integers(0, 64), st.integers(0, 2**31))
 def test_sampling_chooses_as_many_different_points_as_there_are(
     n: int, count: int, seed: int

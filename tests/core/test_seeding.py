@@ -45,6 +45,7 @@ def test_stage_numbers_stay_as_files_have_them() -> None:
         "APPEARANCE": 11,
         "SENSOR": 12,
         "RECOVERY": 13,
+        "PERCEPTION": 14,
     }
 
 
