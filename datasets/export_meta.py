@@ -7,7 +7,7 @@ none, and is known by `dataset_fingerprint` alone.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -195,3 +195,21 @@ def find_document(root: Path) -> DatasetDocument | None:
     """
     load_info(root)
     return load_dataset_document(root) if (root / DOCUMENT).exists() else None
+
+
+def content_hashes(root: Path, without: Collection[str] = ()) -> dict[str, str]:
+    """Hashes of all files of an export by their paths; our document's is that of its content.
+
+    Args:
+        root: Folder of the export, or of several.
+        without: Names of files to leave out, such as the card, which quotes the commit.
+    """
+    return {
+        path.relative_to(root).as_posix(): (
+            DatasetDocument.load(path).content_sha256
+            if path.name == OTHER_DOCUMENT
+            else sha256_file(path)
+        )
+        for path in root.rglob("*")
+        if path.is_file() and path.name not in without
+    }

@@ -21,11 +21,10 @@ import numpy as np
 import tyro
 
 from codediffuser.datagen.episode import list_episodes
-from codediffuser.datasets.export_meta import CARD, DOCUMENT, OTHER_DOCUMENT, DatasetDocument
+from codediffuser.datasets.export_meta import CARD, content_hashes
 from codediffuser.datasets.exporting.format import format_for
 from codediffuser.drills import kill_after, start_verb
 from codediffuser.errors import DatasetError
-from codediffuser.files import sha256_file
 from codediffuser.seeding import Stage, rng_for
 
 
@@ -86,7 +85,9 @@ def drill(options: Options, scratch: Path) -> Iterator[Kill]:
             shutil.rmtree(kind.default_out(run, profile), ignore_errors=True)
     if _convert(options, run).wait() != 0:
         raise DatasetError(f"{run}: the last, undisturbed convert failed")
-    expected, found = (_contents(kind.default_out(r, profile)) for r in (whole, run))
+    expected, found = (
+        content_hashes(kind.default_out(folder, profile), without={CARD}) for folder in (whole, run)
+    )
     differ = sorted(k for k in expected.keys() | found.keys() if expected.get(k) != found.get(k))
     if differ:
         raise DatasetError(f"{run}: differs from the undisturbed export in {', '.join(differ)}")
@@ -105,18 +106,6 @@ def _wait_for_work(process: subprocess.Popen[bytes], run: Path) -> None:
 
 def _convert(options: Options, run: Path) -> subprocess.Popen[bytes]:
     return start_verb("convert", str(run), "--to", options.to, "--profile", options.profile)
-
-
-def _contents(root: Path) -> dict[str, str]:
-    """Hashes of all files but the card, which quotes the commit; of the document, the content's."""
-    files = (path for path in root.rglob("*") if path.is_file() and path.name != CARD)
-    own = {Path(DOCUMENT).name, OTHER_DOCUMENT}
-    return {
-        path.relative_to(root).as_posix(): (
-            DatasetDocument.load(path).content_sha256 if path.name in own else sha256_file(path)
-        )
-        for path in files
-    }
 
 
 def _main() -> None:

@@ -20,11 +20,11 @@ from pathlib import Path
 
 import tyro
 
-from codediffuser.datasets.export_meta import DOCUMENT, DatasetDocument
+from codediffuser.datasets.export_meta import content_hashes
 from codediffuser.datasets.merging.bench import split_into_shards
 from codediffuser.drills import kill_after, start_verb
 from codediffuser.errors import DatasetError
-from codediffuser.files import TEMPORARY_PREFIX, sha256_file
+from codediffuser.files import TEMPORARY_PREFIX
 from codediffuser.seeding import Stage, rng_for
 
 
@@ -66,14 +66,14 @@ def drill(options: Options, scratch: Path) -> Iterator[Kill]:
             something behind; or the shards are not what they were.
     """
     shards = split_into_shards(options.dataset, options.shards, options.episodes, scratch / "in")
-    before = _contents(scratch / "in")
+    before = content_hashes(scratch / "in")
     whole, out = scratch / "whole" / "merged", scratch / "out" / "merged"
     for folder in (whole, out):
         folder.parent.mkdir()
     started = _wait_for_work(process := _merge(shards, whole), whole)
     process.wait()
     takes_s = time.monotonic() - started
-    expected = _contents(whole)
+    expected = content_hashes(whole)
     moments = rng_for(options.seed, Stage.EXPERT, 0).uniform(0.0, 1.0, options.kills) * takes_s
     for after_s in moments:
         _wait_for_work(process := _merge(shards, out), out)
@@ -82,8 +82,8 @@ def drill(options: Options, scratch: Path) -> Iterator[Kill]:
         shutil.rmtree(out, ignore_errors=True)
         if _merge(shards, out).wait() != 0:
             raise DatasetError(f"{out}: the merge after a killed one failed")
-        _compare(expected, _contents(out), str(out))
-        _compare(before, _contents(scratch / "in"), "the shards")
+        _compare(expected, content_hashes(out), str(out))
+        _compare(before, content_hashes(scratch / "in"), "the shards")
         if others := [path.name for path in out.parent.iterdir() if path != out]:
             raise DatasetError(f"{out.parent}: left behind: {', '.join(others)}")
         shutil.rmtree(out)
@@ -99,19 +99,6 @@ def _wait_for_work(process: subprocess.Popen[bytes], out: Path) -> float:
     while process.poll() is None and not any(out.parent.glob(f"{TEMPORARY_PREFIX}*")):
         time.sleep(0.005)
     return time.monotonic()
-
-
-def _contents(root: Path) -> dict[str, str]:
-    """Hashes of all files; of our documents, which quote the commit, that of the content."""
-    return {
-        path.relative_to(root).as_posix(): (
-            DatasetDocument.load(path).content_sha256
-            if path.name == Path(DOCUMENT).name
-            else sha256_file(path)
-        )
-        for path in root.rglob("*")
-        if path.is_file()
-    }
 
 
 def _compare(expected: dict[str, str], found: dict[str, str], what: str) -> None:

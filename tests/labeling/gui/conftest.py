@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from codediffuser.datagen.episode import Episode
 from codediffuser.datagen.episode_writer import EpisodeFacts, write_episode
 from codediffuser.datagen.log_step import Pictures, trajectory_steps
 from codediffuser.labeling.gui.desk import Desk
+from codediffuser.labeling.gui.scripted import find_chromium, open_browser
 from codediffuser.labeling.gui.session import Session
 
 
@@ -29,6 +31,14 @@ class Clock:
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
+
+
+@pytest.fixture
+def context() -> Iterator[Any]:
+    """A small browser window; tests that need another size make their own."""
+    find_chromium()
+    with open_browser(760, 480) as context:
+        yield context
 
 
 @pytest.fixture(scope="session")

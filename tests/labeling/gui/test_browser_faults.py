@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +11,10 @@ import pytest
 from codediffuser.labeling.auto import label_episode
 from codediffuser.labeling.gui.app import LabelApp
 from codediffuser.labeling.gui.desk import Desk
-from codediffuser.labeling.gui.scripted import (
-    WAIT_MS,
-    ScriptedOperator,
-    find_chromium,
-    open_browser,
-)
+from codediffuser.labeling.gui.scripted import WAIT_MS, ScriptedOperator
 from codediffuser.labeling.store import LABELS, load_document
 
 pytestmark = pytest.mark.gui
-
-
-@pytest.fixture
-def context() -> Iterator[Any]:
-    find_chromium()
-    with open_browser(760, 480) as context:
-        yield context
 
 
 def choose(operator: ScriptedOperator, desk: Desk, *names: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +11,9 @@ import pytest
 from codediffuser.labeling.gui.app import LabelApp
 from codediffuser.labeling.gui.desk import Desk
 from codediffuser.labeling.gui.reference_book import ReferenceBook
-from codediffuser.labeling.gui.scripted import ScriptedOperator, find_chromium, open_browser
+from codediffuser.labeling.gui.scripted import ScriptedOperator
 
 pytestmark = pytest.mark.gui
-
-
-@pytest.fixture
-def context() -> Iterator[Any]:
-    find_chromium()
-    with open_browser(760, 480) as context:
-        yield context
 
 
 def test_an_operator_collects_references(run: Path, tmp_path: Path, context: Any) -> None:
