@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import torch
 from accelerate import Accelerator
+from accelerate.state import AcceleratorState, PartialState
 from torch import Tensor
 
 from codediffuser.datasets.features import ACTION
@@ -83,11 +84,7 @@ class Trainer:
         self.step = 0
         self.elapsed_s = 0.0
         """Seconds spent training, earlier sittings included."""
-        self.accelerator = Accelerator(
-            cpu=config.device == "cpu",
-            mixed_precision=config.mixed_precision,
-            step_scheduler_with_optimizer=False,
-        )
+        self.accelerator = _accelerator(config)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int_seed(rng_for(config.seed, Stage.TRAIN)))
             policy = AttentionDiffusionPolicy(options, ranges=ranges)
@@ -203,3 +200,19 @@ class Trainer:
         with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
             torch.manual_seed(seed)
             yield
+
+
+def _accelerator(config: TrainConfig) -> Accelerator:
+    """Set torch up for a training, whatever an earlier one in this process, ours or not, asked for.
+
+    accelerate keeps one state for a process and refuses another precision or device.
+    """
+    if AcceleratorState._shared_state and PartialState().num_processes == 1:
+        state = AcceleratorState()
+        if (state.mixed_precision, state.device.type) != (config.mixed_precision, config.device):
+            AcceleratorState._reset_state(reset_partial_state=True)
+    return Accelerator(
+        cpu=config.device == "cpu",
+        mixed_precision=config.mixed_precision,
+        step_scheduler_with_optimizer=False,
+    )

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -137,6 +138,16 @@ def test_threads_of_the_process_are_put_back(
     before = torch.get_num_threads()
     list(train(toy_export, tiny_config.with_changes(steps=1, num_threads=2), tmp_path / "out"))
     assert torch.get_num_threads() == before
+
+
+def test_trainings_of_other_precisions_follow_one_another_in_a_process(
+    toy_export: Path, tiny_config: TrainConfig, tmp_path: Path
+) -> None:
+    precisions: list[Literal["no", "bf16"]] = ["no", "bf16", "no"]
+    for number, precision in enumerate(precisions):
+        config = tiny_config.with_changes(steps=1, mixed_precision=precision)
+        assert list(train(toy_export, config, tmp_path / str(number)))[-1].step == 1
+
 
 
 def test_the_loss_falls_and_the_hand_learns_where_to_go(
