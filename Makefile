@@ -37,3 +37,4 @@ check-lint:
 	@$(PYTHON) -m ruff check .
 check-types:
 	@$(PYTHON) -m mypy
+	@$(PYTHON) -m mypy --allow-any-generics examples/*.py

@@ -18,6 +18,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
 
 T = TypeVar("T")
 
@@ -42,13 +43,17 @@ class Verb(ABC):
 
 def stage_bars() -> Progress:
     """Return bars with counts, times and a `note` field, on stderr."""
+    # In a narrow window the note gives way; counts and times stay whole.
+    def whole(width: int) -> Column:
+        return Column(min_width=width, no_wrap=True)
+
     return Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(bar_width=32),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("[bold]{task.description}", table_column=whole(11)),
+        BarColumn(bar_width=16),
+        MofNCompleteColumn(table_column=whole(9)),
+        TimeElapsedColumn(table_column=whole(7)),
+        TimeRemainingColumn(table_column=whole(7)),
+        TextColumn("{task.fields[note]}", table_column=Column(no_wrap=True, ratio=1)),
         console=console,
     )
 

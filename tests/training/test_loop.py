@@ -149,7 +149,6 @@ def test_trainings_of_other_precisions_follow_one_another_in_a_process(
         assert list(train(toy_export, config, tmp_path / str(number)))[-1].step == 1
 
 
-
 def test_the_loss_falls_and_the_hand_learns_where_to_go(
     toy_export: Path, tiny_config: TrainConfig, tmp_path: Path
 ) -> None:
