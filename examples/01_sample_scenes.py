@@ -2,7 +2,7 @@
 
 Needs no simulator. The same seed and number always give the same scene, whatever was drawn before.
 
-    python examples/01_sample_scenes.py --out /tmp/scenes
+    python examples/01_sample_scenes.py --out runs/scenes
 """
 
 from __future__ import annotations

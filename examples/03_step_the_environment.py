@@ -3,7 +3,7 @@
 Actions are absolute: where the hand shall be (3 m, 6 for the rotation) and how far each finger
 opens (1). What the expert commanded solves the same scene again.
 
-    python examples/03_step_the_environment.py --out /tmp/after.png
+    python examples/03_step_the_environment.py --out after.png
 """
 
 from __future__ import annotations

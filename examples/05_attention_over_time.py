@@ -2,7 +2,7 @@
 
 Writes an ordinary run folder, so every verb goes on from here.
 
-    python examples/05_attention_over_time.py --run /tmp/one
+    python examples/05_attention_over_time.py --run runs/one
 """
 
 from __future__ import annotations
