@@ -1,4 +1,4 @@
-"""What the README promises: its Python runs, its verbs exist, its links lead somewhere."""
+"""What README and docs promise: Python runs, verbs exist, links lead somewhere."""
 
 import re
 from pathlib import Path
@@ -40,8 +40,12 @@ def test_every_command_of_the_chain_is_understood() -> None:
         assert getattr(verb, "auto", True), "labels come from the simulator so far"
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
+PAGES = ["README.md", "CONTRIBUTING.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("name", sorted(PAGES))
 def test_links_lead_to_files(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")
     targets = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)
-    assert [target for target in targets if not (ROOT / target).exists()] == []
+    beside = (ROOT / name).parent
+    assert [target for target in targets if not (beside / target).exists()] == []
