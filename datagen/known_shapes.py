@@ -5,6 +5,9 @@ from __future__ import annotations
 from codediffuser.datagen.scene import ObjectSpec
 from codediffuser.datagen.task import Geometry, Task
 
+KEPT = 64
+"""How many are kept: enough for all books; mugs, of which no two are the same, must not pile up."""
+
 
 class Shapes:
     """A task's geometries, each computed once: a scene holds a dozen bodies of two shapes.
@@ -22,6 +25,9 @@ class Shapes:
         sizes = tuple(sorted(obj.shape.items()))
         written = (obj.label, obj.color_rgb) if obj.label is not None else None
         key = (obj.category, sizes, obj.fixed, obj.place is None, written)
-        if key not in self._known:
-            self._known[key] = self._task.geometry(obj)
+        # Taken out and put in again: the first is always the one that was not asked for longest.
+        known = self._known.pop(key, None)
+        self._known[key] = self._task.geometry(obj) if known is None else known
+        if len(self._known) > KEPT:
+            del self._known[next(iter(self._known))]
         return self._known[key]
