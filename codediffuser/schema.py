@@ -195,7 +195,8 @@ def _explain(model: type[BaseModel], error: ValidationError, where: str) -> str:
             prefix = "" if key == "(top)" else f"key '{key}': "
             lines.append(prefix + item["msg"].removeprefix("Value error, "))
         else:
-            lines.append(f"key '{key}': {item['msg']}, got {item['input']!r}")
+            message = item["msg"].removeprefix("Value error, ")
+            lines.append(f"key '{key}': {message}, got {item['input']!r}")
     return f"{where}: " + "; ".join(lines)
 
 

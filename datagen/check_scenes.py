@@ -168,11 +168,15 @@ def unused(report: SetReport, task_name: str, library: TemplateLibrary) -> tuple
     """Templates and phrases of a library that no checked scene of its task uses.
 
     Returns:
-        names: What is unused.
-        total: How many there are.
+        names: What is unused, of that which some scene could use.
+        total: How many there are of these.
     """
-    phrases = expand_phrases(get_task(task_name), library)
-    every = [(category, words) for category, known in phrases.items() for words in known]
+    task = get_task(task_name)
+    phrases, never = expand_phrases(task, library), task.never_said()
+    every = [
+        (category, words) for category, known in phrases.items() for words in known
+        if words not in never
+    ]  # fmt: skip
     names = [t.id for t in library.templates if t.id not in report.templates[task_name]]
     names += [
         words for category, words in every if (category, words) not in report.words[task_name]
@@ -191,7 +195,9 @@ def describe(report: SetReport, templates: Path = LIBRARY_PATH) -> str:
     lines += [f"  {words}: {count}" for words, count in report.unknown_words.most_common(5)]
     for task_name in sorted(report.templates.keys() - {"unknown"}):
         names, known = unused(report, task_name, load_templates(task_name, templates))
-        lines.append(f"{task_name}: {len(names)} of {known} templates and phrases unused")
+        never = len(get_task(task_name).never_said())
+        besides = f" (besides {never} phrases that fit no scene)" if never else ""
+        lines.append(f"{task_name}: {len(names)} of {known} templates and phrases unused{besides}")
         lines += [f"  {name}" for name in names[:10]]
     return "\n".join(lines)
 

@@ -32,7 +32,7 @@ def mug_geometry(shape: MugShape, config: MugConfig) -> Geometry:
     )
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=8)
 def mug_parts(shape: MugShape) -> tuple[trimesh.Trimesh, ...]:
     """Convex parts that collide: the body, filled, and the handle as a chain of blocks.
 
@@ -41,7 +41,7 @@ def mug_parts(shape: MugShape) -> tuple[trimesh.Trimesh, ...]:
     return (_body(shape), *_handle_parts(shape))
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=8)
 def mug_visual(shape: MugShape) -> trimesh.Trimesh:
     """The mug as it is looked at: the same outlines, with finer facets."""
     import trimesh

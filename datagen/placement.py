@@ -119,10 +119,12 @@ def _explain(count: int, area: Area, keys: str, what: str, crowded: bool) -> str
             f"{area.keep_out_margin_m:g} m of {names}; move '{keys}.area_x_m' or "
             f"'{keys}.area_y_m' away from it"
         )
+    works_m = _distance_that_works(count, area)
+    fits = works_m >= 2 * area.keep_out_margin_m
+    remedy = f"lower '{keys}.min_distance_m' to {works_m:g}" if fits else f"ask for fewer {what}"
     return (
         f"cannot place {count} {what} at least {area.min_distance_m:g} m apart in {place}; "
-        f"lower '{keys}.min_distance_m' to {_distance_that_works(count, area):g}, or widen "
-        f"'{keys}.area_x_m' and '{keys}.area_y_m'"
+        f"{remedy}, or widen '{keys}.area_x_m' and '{keys}.area_y_m'"
     )
 
 

@@ -225,6 +225,14 @@ class Task(ABC, Generic[C, V]):
     def _components(self) -> Mapping[str, Component]:
         return {phrase.words: phrase for phrase in self.phrases()}
 
+    def never_said(self) -> frozenset[str]:
+        """Phrases that fit no scene of any variant, by their words: no sentence ever has them.
+
+        Checks of coverage leave them out. They stay among `phrases`, since leaving them out there
+        would change which words every scene draws.
+        """
+        return frozenset()
+
     @abstractmethod
     def arrange(self, rng: np.random.Generator, asked: LayoutRequest[V]) -> Layout:
         """Draw objects and places as asked: the task's part of `sample_layout`.

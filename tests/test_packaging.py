@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-DATA_SUFFIXES = {".yaml", ".json", ".html", ".css", ".js", ".typed", ".safetensors", ".npz"}
+DATA_SUFFIXES = {
+    ".yaml", ".json", ".html", ".css", ".js", ".typed", ".safetensors", ".npz", ".vert", ".frag"
+}  # fmt: skip
 
 pytestmark = pytest.mark.slow
 

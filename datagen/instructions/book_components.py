@@ -6,7 +6,7 @@ right are those of the observer, like everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Literal
@@ -41,6 +41,14 @@ class Named:
             and self.name in (None, book.name)
         ]
         return fitting[0] if len(fitting) == 1 else None
+
+    def titles(self, names: Mapping[str, str]) -> set[str]:
+        """Those of some titles, given with the names of their books, that the words fit."""
+        return {
+            title
+            for title, name in names.items()
+            if self.label in (None, title) and self.name in (None, name)
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ from codediffuser.datagen.bookshelf import (
     shelf_object,
 )
 from codediffuser.datagen.instructions.book_components import Named, book_phrases
+from codediffuser.datagen.instructions.book_reach import BooksOfScenes, can_be_said
 from codediffuser.datagen.instructions.components import Component
 from codediffuser.datagen.layout import Layout, LayoutRequest, fixed_count
 from codediffuser.datagen.ranges import Range
@@ -139,6 +140,20 @@ class StowBook(Task[StowBookConfig, VariantConfig]):
 
         side = self.config.observer
         return book_phrases(names(waiting), names(shelved), side.left, side.right)
+
+    def never_said(self) -> frozenset[str]:
+        """Slots beyond the ends of the row, a book that is called like one of its ends, ..."""
+        names = {title: f"{b.color} book" for title, b in self.config.books.catalogue.items()}
+        scenes = [
+            BooksOfScenes(left, v.row.shelf_books, right, v.pad_books, names)
+            for v in self.config.variants.values()
+            for left, right in (v.row.side_books,)
+        ]
+        return frozenset(
+            words
+            for words, phrase in self.components().items()
+            if not any(can_be_said(phrase, books) for books in scenes)
+        )
 
     def pads(self, variant: str) -> tuple[Pad, ...]:
         """One pad under everywhere that the waiting book may stand."""

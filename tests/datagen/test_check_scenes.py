@@ -1,6 +1,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import codediffuser.datagen.tasks  # noqa: F401  fills the registry
@@ -123,3 +124,25 @@ def test_the_command_counts_and_tells_by_its_exit_code(
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no scene in it; sample some"):
         check_scenes([tmp_path])
+
+
+def test_phrases_that_are_never_said_are_those_that_fit_no_layout() -> None:
+    task = get_task("stow_book")
+    never, rng = task.never_said(), np.random.default_rng(0)
+    unseen = {words: phrase for words, phrase in task.components().items() if words not in never}
+    layouts = 0
+    while unseen and layouts < 300:
+        layout = task.sample_layout(rng, variant=("sim", "real")[layouts % 2])
+        unseen = {words: phrase for words, phrase in unseen.items() if not phrase.check(layout)}
+        said = [words for words in never if task.components()[words].check(layout)]
+        assert said == []
+        layouts += 1
+    assert unseen == {}
+    assert "between TIGER and the orange book" in never and len(never) == 60
+
+
+def test_coverage_counts_what_can_be_said(tmp_path: Path) -> None:
+    task = get_task("stow_book")
+    sample_scene(task, root_seed=0, index=0).save(tmp_path / "000000.yaml")
+    text = describe(check_scenes([tmp_path]))
+    assert "of 547 templates and phrases unused (besides 60 phrases that fit no scene)" in text

@@ -51,6 +51,12 @@ def test_too_large_a_distance_names_the_key_and_a_value_that_then_works() -> Non
         assert len(place(4, replace(AREA, min_distance_m=float(advice[1])), seed)) == 4
 
 
+def test_no_distance_is_suggested_at_which_things_run_into_each_other() -> None:
+    area = replace(AREA, max_redraws=2, max_tries=50, keep_out_margin_m=0.015)
+    with pytest.raises(PlacementError, match="ask for fewer batteries, or widen"):
+        place(40, area)
+
+
 def test_an_area_under_a_keep_out_is_told_to_move() -> None:
     area = replace(AREA, keep_out=(KeepOut("the crate", (-1, 1), (-1, 1)),))
     with pytest.raises(PlacementError, match=r"move 'variants\.sim\.area_x_m'.* away from it"):
