@@ -101,6 +101,20 @@ def _free_place(
     slot: Slot, place_id: str, shelf: ShelfConfig, y_m: float, depth_m: float, thickness_m: float
 ) -> PlaceSpec:
     """The wide end of a slot, lower or upper, from the lip of the shelf to its back."""
+    low, high = free_region(slot, shelf, depth_m)
+    top = shelf.floor_m + min(slot.left.height_m, slot.right.height_m)
+    x = slot.new_book_x_m(thickness_m, shelf.floor_m, top)
+    return _place(place_id, np.array([x, y_m, shelf.floor_m]), low, high)
+
+
+def free_region(
+    slot: Slot, shelf: ShelfConfig, depth_m: float
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """What is called the slot: corners (3,), (3,) of a box around its wide end, world, metres.
+
+    It reaches from the lip of the shelf to its back.
+    """
+    y_m = shelf.spine_y_m + depth_m / 2
     height = min(slot.left.height_m, slot.right.height_m)
     top = shelf.floor_m + height
     corners = slot.corners_m((shelf.floor_m, top))
@@ -110,8 +124,7 @@ def _free_place(
     z_low, z_high = (shelf.floor_m, shelf.floor_m + reach) if wide_below else (top - reach, top)
     low = np.array([x_low + REGION_MARGIN_M, y_m - depth_m / 2 - shelf.lip_m, z_low - 0.004])
     high = np.array([x_high - REGION_MARGIN_M, y_m + depth_m / 2 + 0.006, z_high])
-    x = slot.new_book_x_m(thickness_m, shelf.floor_m, top)
-    return _place(place_id, np.array([x, y_m, shelf.floor_m]), low, high)
+    return low, high
 
 
 def _place(

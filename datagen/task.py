@@ -25,6 +25,7 @@ from codediffuser.registry import Registry, unknown_name
 if TYPE_CHECKING:
     import trimesh
 
+    from codediffuser.datagen.box_row import BoxRow
     from codediffuser.datagen.drawing import Drawing
     from codediffuser.datagen.instructions.components import Component
     from codediffuser.datagen.trajectory import Trajectory
@@ -170,6 +171,9 @@ class Task(ABC, Generic[C, V]):
     push_phases: ClassVar[tuple[str, ...]] = ("approach", "transport")
     """Phases of the script in which the hand has air all around, so that recovery demonstrations
     may push it."""
+
+    row: BoxRow | None = None
+    """The row that its objects stand in and whose gaps are its places; most tasks have none."""
 
     def __init__(self, config: C | None = None) -> None:
         self.config: C = config if config is not None else self.load_config()

@@ -109,6 +109,20 @@ class ClusterConfig(Strict):
     on which instances do not differ, as books of one row in depth and height."""
 
 
+class RowSearchConfig(Strict):
+    """How the boxes of a row are told apart by their shape, see `labeling/perception/rows.py`."""
+
+    front_m: float = Field(default=0.012, gt=0)
+    """Depth behind the front of a box within which readings show its front face."""
+    tolerance_m: float = Field(default=0.004, ge=0)
+    """How much thicker than the thickest box, and thinner than the thinnest, one may look."""
+    max_lean_rad: float = Field(default=0.5, gt=0)
+    margin_m: float = Field(default=0.003, ge=0)
+    """Readings this far outside of a box may still be its own: depth comes in whole millimetres."""
+    min_gap_m: float = Field(default=0.012, gt=0)
+    """Neighbours with less room between them leave no gap, wherever one measures."""
+
+
 class LabelingConfig(Strict):
     """How the task is labelled."""
 
@@ -117,6 +131,8 @@ class LabelingConfig(Strict):
     in."""
     clusters: dict[str, ClusterConfig] = Field(default_factory=dict)
     """Sizes by category, to find instances by their features."""
+    row: RowSearchConfig = RowSearchConfig()
+    """Of a task whose objects stand in a row."""
 
 
 class ResetImageConfig(Strict):

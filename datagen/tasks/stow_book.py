@@ -26,6 +26,7 @@ from codediffuser.datagen.bookshelf import (
     shelf_geometry,
     shelf_object,
 )
+from codediffuser.datagen.box_row import BoxRow
 from codediffuser.datagen.instructions.book_components import Named, book_phrases
 from codediffuser.datagen.instructions.book_reach import BooksOfScenes, can_be_said
 from codediffuser.datagen.instructions.components import Component
@@ -97,6 +98,12 @@ class StowBook(Task[StowBookConfig, VariantConfig]):
     pick_category: ClassVar[str] = "book"
     place_category: ClassVar[str] = "slot"
     push_phases: ClassVar[tuple[str, ...]] = ("approach", "turn")
+
+    def __init__(self, config: StowBookConfig | None = None) -> None:
+        super().__init__(config)
+        books = self.config.books
+        thickness = [b.thickness_m for b in books.catalogue.values()]
+        self.row = BoxRow(self.config.shelf, books.depth_m, (min(thickness), max(thickness)))
 
     def arrange(self, rng: np.random.Generator, asked: LayoutRequest[VariantConfig]) -> Layout:
         """A row of books of which one or two lean, and one more book on the pad."""

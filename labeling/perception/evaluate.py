@@ -164,7 +164,9 @@ def true_instances(task: Task, start: StartScene) -> tuple[TrueInstance, ...]:
 
 def _iou(true: TrueInstance, found: FoundInstance) -> float:
     """Shared points of all points; both are parts of one cloud, so shared ones are equal."""
-    if true.category != found.category:
+    low = np.maximum(true.points_world.min(axis=0), found.points_world.min(axis=0))
+    high = np.minimum(true.points_world.max(axis=0), found.points_world.max(axis=0))
+    if true.category != found.category or (low > high).any():
         return 0.0
     both = np.unique(np.concatenate([true.points_world, found.points_world]), axis=0)
     total = len(true.points_world) + len(found.points_world)

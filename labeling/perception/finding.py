@@ -2,18 +2,20 @@
 
 Each reading in the workspace takes the category of its most similar reference, or none. Readings of
 one category are then parted into instances: by the middles that they vote for where the backend
-tells them, else by clusters of the points themselves.
+tells them, else by clusters of the points themselves. Where a task's objects stand in a row, what
+is known of their shape mends what votes gave, and the gaps follow from it (`rows.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from codediffuser.datagen.box_row import BoxRow
 from codediffuser.datagen.episode_format import Camera
 from codediffuser.datagen.task import Task
 from codediffuser.datagen.task_config import ClusterConfig
@@ -22,6 +24,7 @@ from codediffuser.labeling.perception.cloud import EVEN_POINTS, CloudFuser, Worl
 from codediffuser.labeling.perception.clustering import NOISE, cluster_config, cluster_points
 from codediffuser.labeling.perception.features import FeatureBackend, sample_map
 from codediffuser.labeling.perception.references import ReferenceLibrary, classify
+from codediffuser.labeling.perception.rows import RowFinder
 from codediffuser.labeling.perception.views import View, stack_views
 from codediffuser.labeling.perception.votes import gather_votes
 from codediffuser.pointcloud import farthest_point_indices
@@ -88,18 +91,77 @@ def find_instances(
         maps, middles = perceived.maps, _look_up(perceived.middles_world, cloud, views)
     else:
         maps = backend.maps(images, depth_m, cameras)
-    number, similarity = classify(_features(maps, cloud, views), library)
-    found = []
-    for category in categories or (task.pick_category, task.place_category):
-        mine = np.flatnonzero(_is(category, number, library))
-        sizes = cluster_config(task.config.labeling.clusters, category)
-        instance = _part(
-            cloud.points_world[mine], None if middles is None else middles[mine], sizes
+    seen = _Seen(cloud, middles, *classify(_features(maps, cloud, views), library), library)
+    wanted = tuple(categories or (task.pick_category, task.place_category))
+    if task.row is not None and middles is not None:
+        found = tuple(_in_row(task, task.row, seen))
+        return tuple(f for category in wanted for f in found if f.category == category)
+    return tuple(f for category in wanted for f in _of_category(task, category, seen))
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """All readings of the workspace and what features say of them."""
+
+    cloud: WorldCloud
+    middles: np.ndarray | None
+    """(N, 3) float32, metres, where the backend votes."""
+    number: np.ndarray
+    """(N,) index of the category in the library, or negative."""
+    similarity: np.ndarray
+    """(N,) to the nearest reference."""
+    library: ReferenceLibrary
+
+    def of(self, category: str) -> np.ndarray:
+        """Indices (n,) of the readings of a category."""
+        if category not in self.library.categories:
+            return np.zeros(0, dtype=np.intp)
+        return np.flatnonzero(self.number == self.library.categories.index(category))
+
+    def instance(self, category: str, chosen: np.ndarray) -> FoundInstance:
+        """The instance of some readings."""
+        points, rgb = self.cloud.points_world[chosen], self.cloud.rgb
+        voted = points if self.middles is None else self.middles[chosen]
+        return FoundInstance(
+            category,
+            points,
+            np.zeros((len(chosen), 3), np.uint8) if rgb is None else rgb[chosen],
+            np.median(voted, axis=0).astype(np.float64),
+            float(np.clip(self.similarity[chosen].mean(), 0, 1)),
         )
-        for row in range(instance.max(initial=NOISE) + 1):
-            chosen = mine[instance == row]
-            found.append(_instance(category, cloud, chosen, middles, similarity))
-    return tuple(found)
+
+
+def _of_category(task: Task, category: str, seen: _Seen) -> Iterator[FoundInstance]:
+    """The instances of a category, wherever they are."""
+    sizes = cluster_config(task.config.labeling.clusters, category)
+    mine = seen.of(category)
+    instance = _part(
+        seen.cloud.points_world[mine], None if seen.middles is None else seen.middles[mine], sizes
+    )
+    for row in range(instance.max(initial=NOISE) + 1):
+        yield seen.instance(category, mine[instance == row])
+
+
+def _in_row(task: Task, row: BoxRow, seen: _Seen) -> Iterator[FoundInstance]:
+    """Boxes, then gaps, of a row: votes give pieces of boxes, their shape does the rest."""
+    assert seen.middles is not None
+    labeling = task.config.labeling
+    sizes = cluster_config(labeling.clusters, task.pick_category)
+    mine = seen.of(task.pick_category)
+    points = seen.cloud.points_world[mine]
+    pieces = _part(points, seen.middles[mine], sizes.model_copy(update={"min_share": 0.0}))
+    finder = RowFinder(row, labeling.row, sizes)
+    boxes = finder.boxes(points, pieces)
+    found = [seen.instance(task.pick_category, mine[box.shown]) for box in boxes]
+    yield from found
+    least = cluster_config(labeling.clusters, task.place_category).min_points
+    for gap in finder.gaps(seen.cloud.points_world, boxes, least):
+        sure = min(found[i].confidence for i in gap.beside)
+        yield replace(
+            seen.instance(task.place_category, gap.shown),
+            middle_world=gap.middle_world,
+            confidence=sure,
+        )
 
 
 def _features(maps: np.ndarray, cloud: WorldCloud, views: Sequence[View]) -> np.ndarray:
@@ -127,13 +189,6 @@ def _look_up(middles: np.ndarray, cloud: WorldCloud, views: Sequence[View]) -> n
     return found
 
 
-def _is(category: str, number: np.ndarray, library: ReferenceLibrary) -> np.ndarray:
-    """Which points (N,) bool were classified as a category."""
-    if category not in library.categories:
-        return np.zeros(len(number), dtype=bool)
-    return np.asarray(number == library.categories.index(category))
-
-
 def _part(points: np.ndarray, middles: np.ndarray | None, sizes: ClusterConfig) -> np.ndarray:
     """Instance (N,) of each point of one category, `NOISE` for none."""
     if middles is not None and sizes.vote_reach_m is not None:
@@ -155,21 +210,3 @@ def _spread(
         near = distance <= sizes.eps_m
         full[near] = instance[instance != NOISE][nearest[near]]
     return full
-
-
-def _instance(
-    category: str,
-    cloud: WorldCloud,
-    chosen: np.ndarray,
-    middles: np.ndarray | None,
-    similarity: np.ndarray,
-) -> FoundInstance:
-    points = cloud.points_world[chosen]
-    voted = points if middles is None else middles[chosen]
-    return FoundInstance(
-        category,
-        points,
-        cloud.rgb[chosen] if cloud.rgb is not None else np.zeros((len(chosen), 3), np.uint8),
-        np.median(voted, axis=0).astype(np.float64),
-        float(np.clip(similarity[chosen].mean(), 0, 1)),
-    )

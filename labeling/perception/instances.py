@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from codediffuser.datagen.box_row import BoxRow
 from codediffuser.datagen.episode import Episode
 from codediffuser.datagen.task import Task
 from codediffuser.labeling.instances import INSTANCE_SOURCES, SelectableInstance
@@ -95,7 +96,7 @@ def selectable(found: Sequence[FoundInstance], task: Task) -> tuple[SelectableIn
     """Turn what was found into what can be chosen: objects that wait, and all places."""
     objects = [f for f in found if f.category == task.pick_category]
     places = [f for f in found if f.category == task.place_category]
-    arranged = arrange(objects, places)
+    arranged = arrange(objects, places, task.row)
     names = [f"{color_name(o.rgb)} {o.category}" for o in objects]
     chosen = []
     for index in arranged.waiting:
@@ -118,8 +119,17 @@ def selectable(found: Sequence[FoundInstance], task: Task) -> tuple[SelectableIn
     return tuple(chosen)
 
 
-def arrange(objects: Sequence[FoundInstance], places: Sequence[FoundInstance]) -> Arrangement:
-    """Tell objects that wait from those that are put away, by nearness alone."""
+def arrange(
+    objects: Sequence[FoundInstance], places: Sequence[FoundInstance], row: BoxRow | None = None
+) -> Arrangement:
+    """Tell objects that wait from those that are put away, and places that are taken.
+
+    What stands in the task's row is put away, and its gaps are free. Where there is no row,
+    nearness tells: what stands beside a place, or beside an object that does, is put away.
+    """
+    if row is not None:
+        waiting = (i for i, o in enumerate(objects) if not row.holds(o.points_world))
+        return Arrangement(tuple(waiting), {})
     reached = cKDTree(np.concatenate([np.zeros((0, 3)), *(p.points_world for p in places)]))
     away: set[int] = set()
     left = set(range(len(objects)))

@@ -1,9 +1,10 @@
 """Follows a picked object through a recording by geometry, the hand, and features where in doubt.
 
 No simulator: where the object was at frame 0 comes from its label. While it stands it stays where
-it is, as long as the cameras do not see through it. Once the fingers have closed beside it, it
-moves with the hand. Where neither explains what the cameras see, it is looked for straight below,
-as things fall that are let go, and among the instances of its category, which it is fitted to.
+it is, and while the fingers hold it, it moves with the hand. Where the pictures explain that less
+well than before, as when fingers shift it, it is pushed or it swings, a better pose is looked for
+nearby. Where that is not enough it is looked for below, tilted, and among the instances of its
+category; when nothing explains the pictures better it is left where it was last.
 """
 
 from __future__ import annotations
@@ -18,6 +19,13 @@ from codediffuser.datagen.episode import Episode
 from codediffuser.errors import LabelError
 from codediffuser.labeling.perception.finding import FoundInstance
 from codediffuser.labeling.perception.fitting import Evidence, evidence, fit_rigid
+from codediffuser.labeling.perception.pose_search import (
+    Model,
+    best_nearby,
+    explained,
+    model_of,
+    tilted,
+)
 from codediffuser.labeling.perception.views import View
 from codediffuser.pointcloud import farthest_point_indices
 from codediffuser.poses import apply_transform, invert_transform, make_transform, rot6d_to_matrix
@@ -34,9 +42,22 @@ MOVED_M = 0.0015
 """A finger that opens by more than this lets go."""
 SURE = 0.9
 """Below this confidence the object is looked for."""
-NUDGE_M = 0.002
 BETTER = 0.02
 """A pose must explain this share of the points more to take the place of another."""
+LEAST_EXPLAINED = 0.1
+"""An object is not taken to be where the pictures explain less of it: it may be anywhere hidden."""
+WORSE = 0.03
+"""A pose that explains this share of the points less than it did is improved."""
+LOOK_EVERY = 4
+"""Frames between two searches farther away, which are slow."""
+CANDIDATES = 3
+"""Instances of its category, the nearest ones, that an object is looked for in."""
+TRIES = 5
+"""Poses that are improved, of all that are looked at."""
+FALL_M, FALLS = 0.012, 10
+"""Steps in which it is looked for straight below."""
+TILTS_RAD = (0.3, 0.6)
+"""How far it may have tilted."""
 SEARCH_M = 0.15
 """How far from where it was expected an object is looked for."""
 
@@ -78,7 +99,7 @@ def track_object(episode: Episode, points_world: np.ndarray, look: Look | None =
         )
     state = episode.state.astype(np.float64)
     hands = make_transform(rot6d_to_matrix(state[:, 3:9]), state[:, :3])
-    tracker = _Tracker(points_world, look)
+    tracker = Tracker(points_world, look)
     poses, sure, held = [], [], []
     cameras = episode.depth_cameras
     for frame in episode.frames(list(cameras)):
@@ -90,34 +111,41 @@ def track_object(episode: Episode, points_world: np.ndarray, look: Look | None =
     return Track(np.stack(poses), np.array(sure, dtype=np.float32), np.array(held))
 
 
-class _Tracker:
+class Tracker:
     """State of one object from frame to frame."""
 
     def __init__(self, points_world: np.ndarray, look: Look | None) -> None:
         chosen = points_world[farthest_point_indices(points_world, POINTS)]
         self._points = chosen.astype(np.float64)
         self._look = look
+        self._model: Model | None = None
+        """With the colours of the first frame."""
         self.T_now_start = np.eye(4)
         self.T_hand_start: np.ndarray | None = None
         """Takes the points at frame 0 to the hand's frame, while it holds the object."""
         self._evidence = Evidence(0.0, 1.0)
+        self._explained = 0.0
+        """How well the present pose was explained when it was found."""
         self._opening_m: float | None = None
         """Of the fingers at the frame before."""
         self._grip_m = 0.0
         """Smallest opening since the object was taken."""
+        self._since_look = LOOK_EVERY
 
     def step(self, views: Sequence[View], T_world_hand: np.ndarray, opening_m: float) -> None:
         """Go on by one frame."""
+        if self._model is None:
+            self._model = model_of(self._points, views)
+        self._since_look += 1
         self._grip(T_world_hand, opening_m)
         if self.T_hand_start is not None:
             self.T_now_start = T_world_hand @ self.T_hand_start
-        self._evidence = evidence(self._now, views)
-        if self.confidence < SURE and self.T_hand_start is None:
-            self._fall(views)
-        if self.confidence < SURE:
-            self._search(views)
-            if self.T_hand_start is not None:
-                self.T_hand_start = invert_transform(T_world_hand) @ self.T_now_start
+        self._improve(self._model, views)
+        if self.confidence < SURE and self._since_look >= LOOK_EVERY:
+            self._since_look = 0
+            self._search(self._model, views)
+        if self.T_hand_start is not None:
+            self.T_hand_start = invert_transform(T_world_hand) @ self.T_now_start
 
     @property
     def confidence(self) -> float:
@@ -143,41 +171,57 @@ class _Tracker:
         else:
             self._grip_m = min(self._grip_m, opening_m)
 
-    def _fall(self, views: Sequence[View]) -> None:
-        """Look straight below, then a little to all sides, where that explains more."""
-        begin = self.T_now_start
-        for step in range(1, round(SEARCH_M / NUDGE_M)):
-            self._try(_shifted(begin, 2, -step * NUDGE_M), views)
-        for axis in range(3):
-            for shift_m in (-2 * NUDGE_M, -NUDGE_M, NUDGE_M, 2 * NUDGE_M):
-                self._try(_shifted(self.T_now_start, axis, shift_m), views)
+    def _improve(self, model: Model, views: Sequence[View]) -> None:
+        """Look nearby when the pose explains the pictures less well than it did.
 
-    def _search(self, views: Sequence[View]) -> None:
-        """Fit the object to the nearest instance of its category, where that explains more."""
+        A hand that holds the object tells its pose well, so it must be seen to slip.
+        """
+        self._evidence = evidence(self._now, views)
+        here = float(explained(model, self.T_now_start[None], views)[0])
+        held, last = self.T_hand_start is not None, self._explained
+        self._explained = here
+        if self.confidence >= SURE and (held or here > last - WORSE):
+            self._explained = here if held else max(here, last)
+            return
+        T, best = best_nearby(model, self.T_now_start, views)
+        if best > max(here + BETTER, LEAST_EXPLAINED):
+            self.T_now_start, self._explained = T, best
+            self._evidence = evidence(self._now, views)
+
+    def _search(self, model: Model, views: Sequence[View]) -> None:
+        """Look farther away for a pose that explains more."""
+        starts = [*self._fallen(), *self._among_instances(views)]
+        values = explained(model, np.stack(starts), views)
+        for row in np.argsort(-values)[:TRIES]:
+            T, best = best_nearby(model, starts[row], views)
+            if best > max(self._explained + BETTER, LEAST_EXPLAINED):
+                self.T_now_start, self._explained = T, best
+        self._evidence = evidence(self._now, views)
+
+    def _fallen(self) -> list[np.ndarray]:
+        """Poses of an object that fell straight down, and tilted."""
+        T, middle = self.T_now_start, self._now.mean(axis=0)
+        tilts = [T, *(pose for angle in TILTS_RAD for pose in tilted(T, middle, angle))]
+        return [_moved(pose, np.array([0, 0, -k * FALL_M])) for pose in tilts for k in range(FALLS)]
+
+    def _among_instances(self, views: Sequence[View]) -> list[np.ndarray]:
+        """Poses that fit the nearest instances of its category."""
         if self._look is None:
-            return
+            return []
         expected = self._now.mean(axis=0)
-        found = [(np.linalg.norm(f.points_world.mean(axis=0) - expected), f)
-                 for f in self._look(views)]  # fmt: skip
-        near = [(d, f) for d, f in found if d < SEARCH_M]
-        if not near:
-            return
-        _, best = min(near, key=lambda pair: pair[0])
-        tree = cKDTree(best.points_world)
-        moved = self.T_now_start.copy()
-        moved[:3, 3] += best.points_world.mean(axis=0) - expected
-        for start in (self.T_now_start, moved):
-            self._try(fit_rigid(self._points, tree, start), views)
-
-    def _try(self, T_now_start: np.ndarray, views: Sequence[View]) -> None:
-        """Take a pose that the cameras confirm better than the present one."""
-        found = evidence(apply_transform(T_now_start, self._points), views)
-        if found.balance > self._evidence.balance + BETTER:
-            self.T_now_start, self._evidence = T_now_start, found
+        shifts = [(f.points_world.mean(axis=0) - expected, f) for f in self._look(views)]
+        shifts.sort(key=lambda pair: float(np.linalg.norm(pair[0])))
+        poses = []
+        for shift, instance in shifts[:CANDIDATES]:
+            if np.linalg.norm(shift) < SEARCH_M:
+                tree, moved = cKDTree(instance.points_world), _moved(self.T_now_start, shift)
+                fitted = (fit_rigid(self._points, tree, T) for T in (self.T_now_start, moved))
+                poses += [moved, *fitted]
+        return poses
 
 
-def _shifted(T: np.ndarray, axis: int, shift_m: float) -> np.ndarray:
-    """A pose moved along an axis of the world."""
+def _moved(T: np.ndarray, by_m: np.ndarray) -> np.ndarray:
+    """A pose moved by a vector (3,) of the world."""
     moved = T.copy()
-    moved[axis, 3] += shift_m
+    moved[:3, 3] += by_m
     return moved

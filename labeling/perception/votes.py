@@ -92,7 +92,9 @@ def _peaks(
 
 def _too_near(middle: np.ndarray, others: list[np.ndarray], reach_m: float) -> bool:
     """Whether a middle lies so near to another that both are of one instance."""
-    return any(np.linalg.norm(middle - other) < 2 * reach_m for other in others)
+    if not others:
+        return False
+    return bool((np.linalg.norm(np.array(others) - middle, axis=1) < 2 * reach_m).any())
 
 
 def _settled(

@@ -5,6 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from codediffuser.datagen.bookshelf import ShelfConfig
+from codediffuser.datagen.box_row import BoxRow
 from codediffuser.datagen.episode_format import Camera
 from codediffuser.datagen.task import Task, get_task
 from codediffuser.datagen.task_config import ClusterConfig, LabelingConfig, Workspace
@@ -99,6 +101,23 @@ def test_votes_part_what_touches(make_views: MakeViews, task: Task) -> None:
     left, right = find_instances(make_views(), task, TwoHalves(), library(**RED_AND_GREEN))
     assert left.points_world[:, 0].max() <= 0 <= right.points_world[:, 0].min()
     np.testing.assert_allclose(left.middle_world, [-0.025, 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("thickness_m", "count"), [((0.09, 0.11), 1), ((0.045, 0.055), 2)])
+def test_pieces_that_are_one_box_of_a_row_are_one_instance(
+    make_views: MakeViews, task: Task, thickness_m: tuple[float, float], count: int
+) -> None:
+    # The box is 0.1 m wide, and votes part it in the middle.
+    shelf = ShelfConfig(
+        spine_y_m=-0.04, floor_m=0.0, lip_m=0.02, back_gap_m=0.001, wall_m=0.01, height_m=0.12,
+        color_rgb=(0.4, 0.3, 0.2),
+    )  # fmt: skip
+    in_row = get_task("hang_mug")
+    in_row.config, in_row.row = task.config, BoxRow(shelf, 0.08, thickness_m)
+    found = find_instances(make_views(), in_row, TwoHalves(), library(**RED_AND_GREEN))
+    assert [f.category for f in found] == ["mug"] * count
+    (whole,) = find_instances(make_views(), task, ByColor(), library(**RED_AND_GREEN))
+    assert sum(len(f.points_world) for f in found) > 0.9 * len(whole.points_world)
 
 
 def test_an_absent_category_gives_nothing(make_views: MakeViews, task: Task) -> None:

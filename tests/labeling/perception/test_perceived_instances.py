@@ -6,7 +6,7 @@ import pytest
 from codediffuser.datagen.task import get_task
 from codediffuser.errors import LabelError
 from codediffuser.labeling.perception.finding import FoundInstance
-from codediffuser.labeling.perception.instances import arrange, selectable
+from codediffuser.labeling.perception.instances import Arrangement, arrange, selectable
 from codediffuser.labeling.perception.logged import instance_at
 
 
@@ -38,6 +38,20 @@ def test_what_stands_against_something_put_away_is_put_away_too() -> None:
     arranged = arrange(books, [block("slot", -0.03)])
     assert arranged.waiting == (4,)
     assert arranged.taken_by == {}
+
+
+def test_in_a_row_where_all_touch_what_stands_before_it_waits() -> None:
+    row = get_task("stow_book").row
+    assert row is not None
+    y = row.shelf.spine_y_m + row.depth_m / 2
+    size = (0.024, row.depth_m, 0.19)
+    books = [block("book", 0.024 * k, y, size) for k in range(4)] + [block("book", 0.1, 0.0, size)]
+    gaps = [block("slot", 0.11, y, size)]
+    assert arrange(books, gaps, row) == Arrangement((4,), {})
+    # By nearness, the waiting book would be taken for put away: its corner is near to the gap.
+    near = block("book", 0.11, y - row.depth_m - 0.005, size)
+    assert arrange([*books[:4], near], gaps).waiting == ()
+    assert arrange([*books[:4], near], gaps, row).waiting == (4,)
 
 
 def test_without_places_everything_waits() -> None:

@@ -16,8 +16,9 @@ from codediffuser.labeling.attention import AttentionField
 from codediffuser.labeling.auto import start_cloud
 from codediffuser.labeling.ground_truth import ground_truth_labels
 from codediffuser.labeling.motion import RecordedMotion
+from codediffuser.labeling.perception.finding import FoundInstance
 from codediffuser.labeling.perception.fitting import evidence, fit_rigid
-from codediffuser.labeling.perception.tracking import track_object
+from codediffuser.labeling.perception.tracking import Tracker, track_object
 from codediffuser.labeling.perception.views import View
 from codediffuser.pointcloud import backproject_depth
 from codediffuser.poses import apply_transform, invert_transform, make_transform
@@ -100,6 +101,53 @@ def test_a_found_object_moves_by_its_track(
         np.testing.assert_allclose(points, truth, atol=0.005)
         assert motion.confidence(k) > 0.5
     assert expected.confidence(5) == 1.0
+
+
+def shifted(views: tuple[View, ...], by_m: np.ndarray) -> tuple[View, ...]:
+    """The same views of a world that is moved as a whole."""
+    move = make_transform(np.eye(3), by_m)
+    return tuple(
+        replace(v, camera=replace(v.camera, T_world_camera=move @ v.camera.T_world_camera))
+        for v in views
+    )
+
+
+FAR_HAND = make_transform(np.eye(3), np.array([0.0, 0.0, 5.0]))
+
+
+def test_an_object_that_is_pushed_is_followed(box: tuple[tuple[View, ...], np.ndarray]) -> None:
+    views, points = box
+    tracker = Tracker(points, None)
+    for k in range(12):
+        tracker.step(shifted(views, np.array([0.004 * k, 0.0, 0.0])), FAR_HAND, 0.04)
+    np.testing.assert_allclose(tracker.T_now_start[:3, 3], [0.044, 0.0, 0.0], atol=0.003)
+    assert tracker.confidence > 0.9
+
+
+def test_a_lost_object_is_found_among_the_instances_of_its_category(
+    box: tuple[tuple[View, ...], np.ndarray],
+) -> None:
+    views, points = box
+    by_m = np.array([0.0, 0.12, 0.0])
+    there = (points + by_m).astype(np.float32)
+    found = FoundInstance("mug", there, np.zeros((len(there), 3), np.uint8), by_m, 1.0)
+    tracker = Tracker(points, lambda views: [found])
+    tracker.step(views, FAR_HAND, 0.04)
+    tracker.step(shifted(views, by_m), FAR_HAND, 0.04)
+    np.testing.assert_allclose(tracker.T_now_start[:3, 3], by_m, atol=0.003)
+
+
+def test_an_object_that_nothing_shows_stays_where_it_was(
+    box: tuple[tuple[View, ...], np.ndarray],
+) -> None:
+    views, points = box
+    tracker = Tracker(points, None)
+    tracker.step(views, FAR_HAND, 0.04)
+    blind = tuple(replace(v, depth_m=np.zeros_like(v.depth_m)) for v in views)
+    for _ in range(5):
+        tracker.step(blind, FAR_HAND, 0.04)
+    np.testing.assert_array_equal(tracker.T_now_start, np.eye(4))
+    assert tracker.confidence == 0.0
 
 
 def test_an_object_without_points_is_refused(
