@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -106,10 +108,20 @@ def _encode_videos(
     video: VideoConfig,
     picture: Callable[[Frame, CameraRecord], np.ndarray],
 ) -> PartStats:
-    """Stream every frame of the episode once, each picture from the log to its encoder."""
+    """Stream every frame of the episode once, each picture from the log to its encoder.
+
+    While one frame is read from the log, threads work on the pictures of the frame before. Each
+    camera's pictures stay in order, so the bytes do not depend on the number of threads.
+    """
     cameras = {c.name: c for c in source.cameras if image_key(c.name) in features}
     hz = source.manifest.hz
     counts = {name: PixelStats() for name in cameras}
+
+    def take(frame: Frame, camera: CameraRecord) -> None:
+        rgb = picture(frame, camera)
+        encoders[camera.name].add(rgb)
+        counts[camera.name].add(rgb)
+
     with contextlib.ExitStack() as stack:
         encoders = {
             name: stack.enter_context(
@@ -117,11 +129,15 @@ def _encode_videos(
             )
             for name, c in cameras.items()
         }
+        # Entered last: threads have ended before a video is closed.
+        pool = stack.enter_context(ThreadPoolExecutor(os.cpu_count() or 1))
+        at_work: list[Future[None]] = []
         for frame in source.episode.frames(list(cameras)):
-            for name, camera in cameras.items():
-                rgb = picture(frame, camera)
-                encoders[name].add(rgb)
-                counts[name].add(rgb)
+            for taken in at_work:
+                taken.result()
+            at_work = [pool.submit(take, frame, camera) for camera in cameras.values()]
+        for taken in at_work:
+            taken.result()
     return PartStats(pixel_counts={image_key(n): each.counts for n, each in counts.items()})
 
 
