@@ -29,7 +29,7 @@ from codediffuser.datasets.exporting.format import ExportOptions
 from codediffuser.datasets.exporting.formats.lerobot import LeRobotFormat
 from codediffuser.datasets.exporting.pictures import depth_millimetres, mask_bits, png_text
 from codediffuser.datasets.exporting.source import Source, labels_json, program_text
-from codediffuser.datasets.exporting.video import count_frames
+from codediffuser.datasets.exporting.video import ENCODERS, Codec, VideoConfig, count_frames
 from codediffuser.datasets.features import (
     ACTION,
     EPISODE_ID,
@@ -57,6 +57,8 @@ class Options:
     """A run with labelled episodes."""
     num_episodes: int = 2
     profile: Literal["portable", "masked-rgb"] = "portable"
+    codec: Codec = "av1"
+    """Of all sides; LeRobot's default is `av1`."""
     workers: int = 1
     """Processes of our side. LeRobot's encodes by one per camera. All sides' encoders have threads
     of their own."""
@@ -92,7 +94,7 @@ def measure(options: Options, scratch: Path) -> str:
                 raise DatasetError(f"{side}: {lost[side]} pictures are missing")
     camera = Source(folders[0]).cameras[0]
     lines = [
-        f"profile {options.profile}, {len(folders)} episodes, {frames} camera sets of "
+        f"{options.profile}, {options.codec}, {len(folders)} episodes, {frames} camera sets of "
         f"{len(Source(folders[0]).cameras)} x {camera.width} x {camera.height}; medians of "
         f"{options.rounds} rounds; ours: {options.workers} process(es)"
     ]
@@ -146,7 +148,8 @@ def _copy_run(options: Options, target: Path) -> Path:
 
 
 def _ours(run: Path, out: Path, options: Options) -> None:
-    for _ in convert_run(run, out, profile=options.profile, workers=options.workers):
+    video = VideoConfig(codec=options.codec)
+    for _ in convert_run(run, out, profile=options.profile, video=video, workers=options.workers):
         pass
 
 
@@ -163,10 +166,10 @@ def _lerobot(run: Path, out: Path, options: Options, *, streaming: bool = False)
         key: {"dtype": f["dtype"], "shape": tuple(f["shape"]), "names": f["names"]}
         for key, f in declared.items()
     }
-    settings = {"streaming_encoding": True} if streaming else {}
     dataset = LeRobotDataset.create(
-        "local/bench", first.manifest.hz, features, root=out, **settings
-    )
+        "local/bench", first.manifest.hz, features, root=out,
+        vcodec=ENCODERS[options.codec], streaming_encoding=streaming,
+    )  # fmt: skip
     for folder in folders:
         source = Source(folder)
         for row in _rows(source, set(features)):
