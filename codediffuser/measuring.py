@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 import os
 import resource
@@ -51,21 +52,22 @@ def print_measured(options: type[Options], measure: Callable[[Options, Path], ob
         sys.stdout.write(f"{measure(chosen, Path(scratch))}\n")
 
 
-def take_turn(work: Callable[..., None], arguments: Sequence[Any], warm: Sequence[Any]) -> Turn:
+def take_turn(
+    work: Callable[..., None], arguments: Sequence[Any], libraries: Sequence[str]
+) -> Turn:
     """Do some work in a new process and see what it takes.
 
     Args:
         work: What can be sent to a process. Its exceptions end the process with their trace.
         arguments: Of the work.
-        warm: Arguments of a smaller turn that goes before, so that libraries are loaded; it counts
-            for the memory alone.
+        libraries: Modules that are imported before the clock starts.
 
     Raises:
         DatasetError: The process ended without a result, or hung.
     """
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_turn, args=(sender, work, arguments, warm))
+    process = context.Process(target=_turn, args=(sender, work, arguments, libraries))
     process.start()
     pid = process.pid
     assert pid is not None
@@ -86,10 +88,11 @@ def take_turn(work: Callable[..., None], arguments: Sequence[Any], warm: Sequenc
 
 
 def _turn(
-    pipe: Connection, work: Callable[..., None], arguments: Sequence[Any], warm: Sequence[Any]
+    pipe: Connection, work: Callable[..., None], arguments: Sequence[Any], libraries: Sequence[str]
 ) -> None:
     os.setpgrp()
-    work(*warm)
+    for name in libraries:
+        importlib.import_module(name)
     started, cpu_s = time.perf_counter(), _cpu_s()
     work(*arguments)
     pipe.send(Turn(time.perf_counter() - started, _cpu_s() - cpu_s))

@@ -16,7 +16,7 @@ import os
 import shutil
 import statistics
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,7 +27,7 @@ from codediffuser.datagen.episode import Episode, list_episodes
 from codediffuser.datasets.convert import convert_run
 from codediffuser.datasets.exporting.format import ExportOptions
 from codediffuser.datasets.exporting.formats.lerobot import LeRobotFormat
-from codediffuser.datasets.exporting.pictures import depth_millimetres, mask_bits, png_text
+from codediffuser.datasets.exporting.pictures import mask_bits, png_text
 from codediffuser.datasets.exporting.source import Source, labels_json, program_text
 from codediffuser.datasets.exporting.video import ENCODERS, Codec, VideoConfig, count_frames
 from codediffuser.datasets.features import (
@@ -45,6 +45,11 @@ from codediffuser.datasets.features import (
 from codediffuser.errors import DatasetError
 from codediffuser.measuring import Turn, print_measured, take_turn
 
+LIBRARIES = (
+    "av", "codediffuser.datasets.exporting.formats", "codediffuser.labeling.language.composer",
+    "cv2", "lerobot.datasets.lerobot_dataset", "matplotlib.backends.backend_agg", "pandas",
+)  # fmt: skip
+"""Loaded before a turn's clock starts."""
 JUDGED_EVERY = 10
 """Of how many pictures one is compared with what was recorded."""
 
@@ -75,7 +80,6 @@ def measure(options: Options, scratch: Path) -> str:
         DatasetError: Our side lost a frame, or LeRobot's by default did.
     """
     run = _copy_run(options, scratch / "run")
-    first = _copy_run(replace(options, num_episodes=1), scratch / "first")
     folders = list_episodes(run)
     frames = sum(Source(folder).episode.num_frames for folder in folders)
     sides: dict[str, Callable[[Path, Path, Options], None]] = {"ours": _ours, "lerobot": _lerobot}
@@ -85,10 +89,10 @@ def measure(options: Options, scratch: Path) -> str:
     lost = dict.fromkeys(sides, 0)
     for _ in range(options.rounds):
         for side, work in sides.items():
-            out, warm = scratch / side, scratch / "warm"
-            for folder in (out, warm):
+            out = scratch / side
+            for folder in (out, run / ".cache"):
                 shutil.rmtree(folder, ignore_errors=True)
-            turns[side].append(take_turn(work, (run, out, options), (first, warm, options)))
+            turns[side].append(take_turn(work, (run, out, options), LIBRARIES))
             lost[side] += _lost_pictures(out, frames)
             if lost[side] and side != "streaming":
                 raise DatasetError(f"{side}: {lost[side]} pictures are missing")
@@ -197,7 +201,7 @@ def _rows(source: Source, keys: set[str]) -> Any:
                 continue
             camera = source.camera_at(name, frame.index)
             row[image_key(name)] = rgb
-            row[depth_key(name)] = png_text(depth_millimetres(frame.depth_m[name]))
+            row[depth_key(name)] = png_text(frame.depth_mm[name])
             row[mask_key(name)] = png_text(mask_bits(masks))
             row[intrinsics_key(name)] = camera.K.reshape(9).astype(np.float32)
             row[pose_key(name)] = camera.T_world_camera.reshape(16).astype(np.float32)

@@ -17,7 +17,6 @@ from codediffuser.datasets.episode_clouds import episode_columns
 from codediffuser.datasets.exporting.columns import Column, PartStats, arrow_table, write_columns
 from codediffuser.datasets.exporting.pictures import (
     PixelStats,
-    depth_millimetres,
     mask_bits,
     png_text,
 )
@@ -73,7 +72,7 @@ def make_portable(
     def picture(frame: Frame, camera: CameraRecord) -> np.ndarray:
         name = camera.name
         if camera.depth:
-            texts[depth_key(name)].append(png_text(depth_millimetres(frame.depth_m[name])))
+            texts[depth_key(name)].append(png_text(frame.depth_mm[name]))
         if camera.calibrated and labelled:
             texts[mask_key(name)].append(png_text(mask_bits(source.masks(frame, name))))
         return frame.rgb[name]

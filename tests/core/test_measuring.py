@@ -12,14 +12,14 @@ from codediffuser.measuring import group_memory_mb, take_turn
 
 
 def test_a_turn_tells_time_and_memory_of_the_work_alone() -> None:
-    turn = take_turn(time.sleep, (0.3,), (0.0,))
+    turn = take_turn(time.sleep, (0.3,), ())
     assert 0.3 <= turn.wall_s < 2 and turn.cpu_s < 0.3
     assert 5 < turn.peak_mb < 2000
 
 
 def test_work_that_fails_is_an_error(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(DatasetError, match="ended without a result"):
-        take_turn(time.sleep, ("soon",), (0.0,))
+        take_turn(time.sleep, ("soon",), ())
     assert "TypeError" in capfd.readouterr().err
 
 
