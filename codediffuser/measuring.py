@@ -91,6 +91,9 @@ def _turn(
     pipe: Connection, work: Callable[..., None], arguments: Sequence[Any], libraries: Sequence[str]
 ) -> None:
     os.setpgrp()
+    # Processes that the work starts are to be started as in a program of its own: a spawned process
+    # would spawn its own, too, and each would load all libraries anew.
+    multiprocessing.set_start_method(None, force=True)
     for name in libraries:
         importlib.import_module(name)
     started, cpu_s = time.perf_counter(), _cpu_s()

@@ -23,5 +23,10 @@ def test_work_that_fails_is_an_error(capfd: pytest.CaptureFixture[str]) -> None:
     assert "TypeError" in capfd.readouterr().err
 
 
+def test_work_starts_processes_as_a_program_of_its_own_does() -> None:
+    code = "import multiprocessing as m; assert m.get_start_method(allow_none=True) is None"
+    take_turn(exec, (code,), ())
+
+
 def test_a_group_without_processes_takes_no_memory() -> None:
     assert group_memory_mb(os.getpgrp()) > 5 and group_memory_mb(2**22 + 1) == 0
