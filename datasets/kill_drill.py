@@ -233,7 +233,8 @@ class MergeDrill(VerbDrill):
         )
         self.made = self.out / "merged"
         self.out.mkdir()
-        self.words = [*map(str, shards), "--out", str(self.made)]
+        # A killed call may have come so far that its result is there.
+        self.words = [*map(str, shards), "--out", str(self.made), "--overwrite"]
 
     def contents(self) -> dict[str, str]:
         """Of the merged dataset and the shards."""
