@@ -4,7 +4,8 @@ python -m codediffuser.datasets.exporting.stock_tools RUN
 
 Some episodes of the run are exported, then each command is typed as its documentation says, in a
 process of its own and without network. A result that is a dataset again must have the episodes that
-were asked for, and `validate` must find nothing wrong with it. What this prints is a table.
+were asked for, and `validate` must find nothing wrong with it. What this prints is a table, a line a
+command as it ends; the exit code is 1 unless all work.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -26,7 +28,6 @@ from codediffuser.datasets.convert import convert_run
 from codediffuser.datasets.exporting.format import Profile
 from codediffuser.datasets.parquet_reader import read_episodes
 from codediffuser.datasets.validate import validate
-from codediffuser.measuring import print_measured
 
 TIMEOUT_S = 1800.0
 """For one command; a longer one is taken for hung."""
@@ -76,13 +77,6 @@ class Outcome:
             f"{verdict}  {self.profile:10}  {self.name:32} exit {self.exit_code:3}  "
             f"{self.seconds:6.1f} s   {self.result}"
         )
-
-
-def measure(options: Options, scratch: Path) -> str:
-    """Run all commands; one line each, and how many work."""
-    outcomes = list(run_tools(options, scratch))
-    works = sum(outcome.works for outcome in outcomes)
-    return "\n".join([*map(str, outcomes), f"{works} of {len(outcomes)} commands work"])
 
 
 def run_tools(options: Options, scratch: Path) -> Iterator[Outcome]:
@@ -263,5 +257,16 @@ def _sizes(files: Iterable[Path]) -> str:
     return ", ".join(found)
 
 
+def _main() -> None:
+    options, works = tyro.cli(Options), []
+    with tempfile.TemporaryDirectory(prefix="codediffuser-tools-") as folder:
+        for outcome in run_tools(options, Path(folder)):
+            works.append(outcome.works)
+            sys.stdout.write(f"{outcome}\n")
+            sys.stdout.flush()
+    sys.stdout.write(f"{sum(works)} of {len(works)} commands work\n")
+    sys.exit(0 if all(works) else 1)
+
+
 if __name__ == "__main__":
-    print_measured(Options, measure)
+    _main()
