@@ -4,8 +4,8 @@ python -m codediffuser.datasets.exporting.stock_tools RUN
 
 Some episodes of the run are exported, then each command is typed as its documentation says, in a
 process of its own and without network. A result that is a dataset again must have the episodes that
-were asked for, and `validate` must find nothing wrong with it. What this prints is a table, a line a
-command as it ends; the exit code is 1 unless all work.
+were asked for, and `validate` must find nothing wrong with it. This prints a line as each command
+ends; the exit code is 1 unless all work.
 """
 
 from __future__ import annotations
@@ -209,15 +209,18 @@ def _run(call: Call, profile: str, environment: dict[str, str], folder: Path) ->
         timeout=TIMEOUT_S, check=False,
     )  # fmt: skip
     seconds = time.perf_counter() - started
+    aborted = done.returncode != 0 and ABORTED in done.stderr
+    if done.returncode and not aborted:
+        said = done.stderr.strip().rpartition("\n")[2]
+        return Outcome(call.name, profile, seconds, done.returncode, said, False)
     try:
-        result, works = call.check(done.stdout), done.returncode == 0
+        result = call.check(done.stdout)
     except Exception as error:  # whatever is wrong with a result is what the table tells
-        result, works = f"{type(error).__name__}: {error}", False
-    if done.returncode and ABORTED in done.stderr:
+        said = f"{type(error).__name__}: {error}"
+        return Outcome(call.name, profile, seconds, done.returncode, said, False)
+    if aborted:
         result += "; aborted while Python ended"
-    elif done.returncode:
-        result = done.stderr.strip().rpartition("\n")[2]
-    return Outcome(call.name, profile, seconds, done.returncode, result, works)
+    return Outcome(call.name, profile, seconds, done.returncode, result, True)
 
 
 def _python(code: str) -> list[str]:
