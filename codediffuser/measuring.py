@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import multiprocessing
 import os
@@ -77,13 +78,15 @@ def take_turn(
         while not receiver.poll(WATCH_EVERY_S):
             peak_mb = max(peak_mb, group_memory_mb(pid))
             if time.monotonic() > until:
-                # And all that it has started: one of those may be what hangs.
-                os.killpg(pid, signal.SIGKILL)
                 raise DatasetError(f"a turn did not end within {TURN_TIMEOUT_S:.0f} s")
         turn: Turn = receiver.recv()
+        process.join()
     except EOFError:
         raise DatasetError("a turn ended without a result; see its message above") from None
-    process.join()
+    finally:
+        # And all that it has started: one of those may be what hangs.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(pid, signal.SIGKILL)
     return replace(turn, peak_mb=peak_mb)
 
 

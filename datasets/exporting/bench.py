@@ -15,6 +15,7 @@ import functools
 import os
 import shutil
 import statistics
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,6 +94,7 @@ def measure(options: Options, scratch: Path) -> str:
             for folder in (out, run / ".cache"):
                 shutil.rmtree(folder, ignore_errors=True)
             turns[side].append(take_turn(work, (run, out, options), LIBRARIES))
+            sys.stderr.write(f"{side}: {turns[side][-1].wall_s:.2f} s\n")
             lost[side] += _lost_pictures(out, frames)
             if lost[side] and side != "streaming":
                 raise DatasetError(f"{side}: {lost[side]} pictures are missing")
