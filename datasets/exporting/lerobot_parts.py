@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -109,18 +107,12 @@ def _encode_videos(
 ) -> PartStats:
     """Stream every frame of the episode once, each picture from the log to its encoder.
 
-    While one frame is read from the log, threads work on the pictures of the frame before. Each
-    camera's pictures stay in order, so the bytes do not depend on the number of threads.
+    AV1 encoders have threads that work on the pictures of frames before. Threads of our own beside
+    them were tried, one per core: they take turns at Python's lock, and it took twice as long.
     """
     cameras = {c.name: c for c in source.cameras if image_key(c.name) in features}
     hz = source.manifest.hz
     counts = {name: PixelStats() for name in cameras}
-
-    def take(frame: Frame, camera: CameraRecord) -> None:
-        rgb = picture(frame, camera)
-        encoders[camera.name].add(rgb)
-        counts[camera.name].add(rgb)
-
     with contextlib.ExitStack() as stack:
         encoders = {
             name: stack.enter_context(
@@ -128,15 +120,11 @@ def _encode_videos(
             )
             for name, c in cameras.items()
         }
-        # Entered last: threads have ended before a video is closed.
-        pool = stack.enter_context(ThreadPoolExecutor(os.cpu_count() or 1))
-        at_work: list[Future[None]] = []
         for frame in source.episode.frames(list(cameras)):
-            for taken in at_work:
-                taken.result()
-            at_work = [pool.submit(take, frame, camera) for camera in cameras.values()]
-        for taken in at_work:
-            taken.result()
+            for name, camera in cameras.items():
+                rgb = picture(frame, camera)
+                encoders[name].add(rgb)
+                counts[name].add(rgb)
     return PartStats(pixel_counts={image_key(n): each.counts for n, each in counts.items()})
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ NOT_EXPORTED = ("history", "saved", "flags", "reviews")
 
 
 class Source:
-    """An episode with its labels, if it has any; threads may share it.
+    """An episode with its labels, if it has any.
 
     Args:
         folder: `RUN/episodes/<id>`.
@@ -46,8 +45,6 @@ class Source:
         self._dilation_px = dilation_px
         self._calibrations: dict[str, tuple[tuple[np.ndarray, int, int], np.ndarray]] = {}
         self._carried_at: tuple[int, Any] = (-1, None)
-        self._lock = threading.Lock()
-        """Of the two above."""
         self.labels = load_labels(folder).labels if labelled else ()
 
     def camera_at(self, name: str, k: int) -> Camera:
@@ -64,12 +61,11 @@ class Source:
         return self._calibration(name)[1]
 
     def _calibration(self, name: str) -> tuple[tuple[np.ndarray, int, int], np.ndarray]:
-        with self._lock:
-            if name not in self._calibrations:
-                self._calibrations[name] = (
-                    self.episode.camera_info(name), self.episode.camera_poses(name),
-                )  # fmt: skip
-            return self._calibrations[name]
+        if name not in self._calibrations:
+            self._calibrations[name] = (
+                self.episode.camera_info(name), self.episode.camera_poses(name),
+            )  # fmt: skip
+        return self._calibrations[name]
 
     def masks(self, frame: Frame, camera: str) -> np.ndarray:
         """Attention on the picture of a calibrated camera, (2, H, W) bool pick before place."""
@@ -82,11 +78,9 @@ class Source:
 
     def _carried(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Labelled points and their attention at frame k; all cameras of a frame share them."""
-        with self._lock:
-            if self._carried_at[0] != k:
-                self._carried_at = k, self._field.carried(self._motion.at(k))
-            carried: tuple[np.ndarray, np.ndarray] = self._carried_at[1]
-        return carried
+        if self._carried_at[0] != k:
+            self._carried_at = k, self._field.carried(self._motion.at(k))
+        return self._carried_at[1]
 
     @functools.cached_property
     def _motion(self) -> RecordedMotion:

@@ -135,17 +135,6 @@ def test_a_grown_run_takes_old_episodes_from_the_export(
     assert data_files(run / "exports" / "lerobot-portable") == whole
 
 
-def test_bytes_do_not_depend_on_the_number_of_threads(
-    labelled_run: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run, found = labelled_run(1), []
-    for cores in (1, 6):
-        monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
-        found.append(data_files(export(run)))
-        shutil.rmtree(run / "exports")
-    assert found[0] == found[1]
-
-
 def test_other_options_encode_again(labelled_run: Callable[..., Path]) -> None:
     run = labelled_run(1)
     export(run)
