@@ -31,6 +31,8 @@ class Frame:
     depth_m: dict[str, np.ndarray]
     """(H, W) float32 by camera that gives depth, along the optical axis, 0 for no reading; empty
     when not asked."""
+    depth_mm: dict[str, np.ndarray]
+    """The same as it is stored, (H, W) uint16."""
 
 
 class Episode:
@@ -240,14 +242,15 @@ class Episode:
                     if topic in color_topics:
                         frame.rgb[color_topics[topic]] = ros.decode_color(data)
                     elif topic in depth_topics:
-                        depth_mm = ros.decode_depth(data)
-                        frame.depth_m[depth_topics[topic]] = depth_mm * METRES_PER_MM
+                        name, depth_mm = depth_topics[topic], ros.decode_depth(data)
+                        frame.depth_mm[name] = depth_mm
+                        frame.depth_m[name] = depth_mm * METRES_PER_MM
                 if len(frame.rgb) != len(color_topics) or len(frame.depth_m) != len(depth_topics):
                     raise EpisodeError(f"frame {k} lacks a picture")
                 yield frame
 
     def _empty_frame(self, k: int) -> Frame:
-        return Frame(k, k / self.hz, {}, {})
+        return Frame(k, k / self.hz, {}, {}, {})
 
     def _camera_names(self, cameras: Sequence[str] | None) -> list[str]:
         known = [c.name for c in self.manifest.cameras]

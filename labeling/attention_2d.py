@@ -50,7 +50,9 @@ def attention_mask(
         ShapeError: The points or the depth do not have the shape above.
     """
     row, column, _ = _visible(points_world, camera, depth_m, tolerance_m)
-    return _marked(row, column, (camera.height, camera.width), dilation_px)
+    mask = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    _mark(mask, row, column, dilation_px)
+    return mask.view(bool)
 
 
 def role_masks(
@@ -80,11 +82,10 @@ def role_masks(
         ShapeError: The depth does not fit the camera.
     """
     row, column, seen = _visible(points_world, camera, depth_m, tolerance_m)
-    shape, attended = (camera.height, camera.width), attention[seen] > 0
-    return np.stack([
-        _marked(row[attended[:, role]], column[attended[:, role]], shape, dilation_px)
-        for role in range(len(ROLES))
-    ])  # fmt: skip
+    masks = np.zeros((len(ROLES), camera.height, camera.width), dtype=np.uint8)
+    for mask, attended in zip(masks, attention[seen].T > 0, strict=True):
+        _mark(mask, row[attended], column[attended], dilation_px)
+    return masks.view(bool)
 
 
 def _visible(
@@ -97,37 +98,29 @@ def _visible(
         raise ShapeError(f"depth_m: expected {shape} as the camera says, got {depth_m.shape}")
     uv, z = project(points_world, camera.K, camera.T_world_camera)
     # Rounding first would pull points from up to half a pixel outside; far ones overflow integers.
+    u, v = uv.T
     with np.errstate(invalid="ignore"):
-        inside = (z > 0) & (uv >= -0.5).all(axis=1) & (uv < np.array(shape[::-1]) - 0.5).all(axis=1)
-    column, row = np.floor(uv[inside] + 0.5).astype(np.intp).T
+        inside = (z > 0) & (u >= -0.5) & (u < shape[1] - 0.5) & (v >= -0.5) & (v < shape[0] - 0.5)
     seen = np.flatnonzero(inside)
+    column, row = np.floor(uv[seen] + 0.5).astype(np.intp).T
     if depth_m is None:
         return row, column, seen
     reading = depth_m[row, column]
-    visible = (reading <= 0) | (reading >= z[inside] - tolerance_m)
+    visible = (reading <= 0) | (reading >= z[seen] - tolerance_m)
     return row[visible], column[visible], seen[visible]
 
 
-def _marked(
-    row: np.ndarray, column: np.ndarray, shape: tuple[int, int], dilation_px: int
-) -> np.ndarray:
-    """(H, W) bool, true within a disc around each of these pixels."""
-    mask = np.zeros(shape, dtype=np.uint8)
+def _mark(mask: np.ndarray, row: np.ndarray, column: np.ndarray, dilation_px: int) -> None:
+    """Set a mask (H, W) uint8 of zeros to 1 within a disc around each of these pixels."""
     mask[row, column] = 1
-    return _dilate(mask, dilation_px).view(bool)
-
-
-def _dilate(mask: np.ndarray, radius_px: int) -> np.ndarray:
-    if radius_px <= 0 or not mask.any():
-        return mask
+    if dilation_px <= 0 or not len(row):
+        return
     import cv2
 
     # Only where something is marked: a label is small on a picture.
-    x, y, width, height = cv2.boundingRect(mask)
-    rows = slice(max(y - radius_px, 0), y + height + radius_px)
-    columns = slice(max(x - radius_px, 0), x + width + radius_px)
-    mask[rows, columns] = cv2.dilate(mask[rows, columns], _disc(radius_px))
-    return mask
+    rows = slice(max(int(row.min()) - dilation_px, 0), int(row.max()) + dilation_px + 1)
+    columns = slice(max(int(column.min()) - dilation_px, 0), int(column.max()) + dilation_px + 1)
+    mask[rows, columns] = cv2.dilate(mask[rows, columns], _disc(dilation_px))
 
 
 @functools.cache

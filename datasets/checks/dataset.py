@@ -5,8 +5,9 @@ It reads every number and picture once and keeps one episode, or one video file,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from codediffuser.datagen.episode_check import Finding
 from codediffuser.datasets import parquet_reader
@@ -23,12 +24,13 @@ from codediffuser.datasets.checks.rows import iterate_episodes, numeric_sizes
 from codediffuser.datasets.checks.statistics import check_stats, stats_of
 from codediffuser.datasets.checks.videos import check_videos
 from codediffuser.datasets.export_meta import (
+    DatasetDocument,
     dataset_fingerprint,
     find_document,
     load_info,
     require_features,
 )
-from codediffuser.datasets.features import ACTION, STATE
+from codediffuser.datasets.features import ACTION, LABELS, STATE, mask_key
 from codediffuser.datasets.stats import Stats
 from codediffuser.errors import CodeDiffuserError
 
@@ -66,10 +68,20 @@ def check_dataset(root: Path) -> Iterator[Finding]:
             stats.append(stats_of(episode))
             states[int(episode.meta["episode_index"])] = episode.columns[STATE]
         yield from check_stats(root, stats)
-        yield from check_videos(root, videos, rows, info["fps"], states)
+        masked = _is_masked(info, document)
+        yield from check_videos(root, videos, rows, info["fps"], states, masked=masked)
     except CodeDiffuserError as error:
         yield Finding("dataset.unreadable", str(root), str(error), REMEDY)
         return
     if document is not None and dataset_fingerprint(root) != document.content_sha256:
         what = "the files are not those that convert wrote"
         yield Finding("dataset.changed", str(root), what, REMEDY)
+
+
+def _is_masked(info: Mapping[str, Any], document: DatasetDocument | None) -> bool:
+    """Whether pictures show what is attended alone, the profile `masked-rgb`."""
+    if document is not None:
+        return document.profile == "masked-rgb"
+    # Edited by LeRobot's tools. Of labelled episodes, other profiles keep masks beside pictures.
+    names = info["features"]
+    return LABELS in names and not any(name.startswith(mask_key("")) for name in names)

@@ -26,7 +26,7 @@ MOVED = 0.3
 
 def check_videos(
     root: Path, videos: Sequence[str], rows: Sequence[dict[str, Any]], fps: int,
-    states: Mapping[int, np.ndarray],
+    states: Mapping[int, np.ndarray], *, masked: bool = False,
 ) -> Iterator[Finding]:  # fmt: skip
     """Decode every video once and judge each episode's stretch of it.
 
@@ -36,6 +36,8 @@ def check_videos(
         rows: Of `meta/episodes`.
         fps: Frames per second.
         states: (T, D) of each episode: a picture may stay the same while the robot stands still.
+        masked: Whether pictures show what is attended alone: those are black while it is hidden,
+            and neither black nor frozen ones are told.
     """
     for key in videos:
         by_file: dict[Path, list[dict[str, Any]]] = {}
@@ -44,12 +46,13 @@ def check_videos(
             path = root / VIDEO.format(video_key=key, chunk_index=at[0], file_index=at[1])
             by_file.setdefault(path, []).append(row)
         for path, held in by_file.items():
-            yield from _check_file(path, key, held, fps, states)
+            yield from _check_file(path, key, held, fps, None if masked else states)
 
 
 def _check_file(
-    path: Path, key: str, rows: list[dict[str, Any]], fps: int, states: Mapping[int, np.ndarray]
-) -> Iterator[Finding]:
+    path: Path, key: str, rows: list[dict[str, Any]], fps: int,
+    states: Mapping[int, np.ndarray] | None,
+) -> Iterator[Finding]:  # fmt: skip
     try:
         times, pictures = _decode(path)
     except (av.FFmpegError, OSError, IndexError) as error:
@@ -68,7 +71,8 @@ def _check_file(
             what = f"expected {length} pictures from {start:.2f} s on, found {int(own.sum())}"
             yield Finding("video.length", where, what, REMEDY)
             continue
-        yield from _check_pictures(where, pictures[own], fps, states[int(row["episode_index"])])
+        if states is not None:
+            yield from _check_pictures(where, pictures[own], fps, states[int(row["episode_index"])])
 
 
 def _check_pictures(where: str, seen: np.ndarray, fps: int, state: np.ndarray) -> Iterator[Finding]:

@@ -1,23 +1,22 @@
-"""Export speed beside LeRobot's own writer with its default settings, in turns in one run.
+"""Export speed beside LeRobot's own writer, in turns in one run.
 
 python -m codediffuser.datasets.exporting.bench RUN --num-episodes 2
 
-Both sides read the same episodes from their logs and write the same features with the same codec
-and quality. LeRobot's side is its documented recording loop with every setting at its default: a
-frame's pictures are written one by one, then a process per camera encodes. Each turn is a process
-of its own, so that its peak memory can be told.
+All sides read the same episodes from their logs and write the same features with the same codec and
+quality. `lerobot` is its documented recording loop with every setting at its default: a frame's
+pictures are written one by one as PNG, then a process per camera encodes. `streaming` is the same
+with `streaming_encoding=True`, where encoders take the pictures as they come. Each turn is a
+process of its own, whose memory is watched from outside.
 """
 
 from __future__ import annotations
 
-import multiprocessing
+import functools
 import os
-import resource
 import shutil
-import signal
 import statistics
-import time
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -25,13 +24,13 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from codediffuser.datagen.episode import list_episodes
+from codediffuser.datagen.episode import Episode, list_episodes
 from codediffuser.datasets.convert import convert_run
 from codediffuser.datasets.exporting.format import ExportOptions
 from codediffuser.datasets.exporting.formats.lerobot import LeRobotFormat
-from codediffuser.datasets.exporting.pictures import depth_millimetres, mask_bits, png_text
+from codediffuser.datasets.exporting.pictures import mask_bits, png_text
 from codediffuser.datasets.exporting.source import Source, labels_json, program_text
-from codediffuser.datasets.exporting.video import count_frames
+from codediffuser.datasets.exporting.video import ENCODERS, Codec, VideoConfig, count_frames
 from codediffuser.datasets.features import (
     ACTION,
     EPISODE_ID,
@@ -45,10 +44,15 @@ from codediffuser.datasets.features import (
     pose_key,
 )
 from codediffuser.errors import DatasetError
-from codediffuser.measuring import print_measured
+from codediffuser.measuring import Turn, print_measured, take_turn
 
-TIMEOUT_S = 3600.0
-"""For one turn; a longer one is taken for hung."""
+LIBRARIES = (
+    "av", "codediffuser.datasets.exporting.formats", "codediffuser.labeling.language.composer",
+    "cv2", "lerobot.datasets.lerobot_dataset", "matplotlib.backends.backend_agg", "pandas",
+)  # fmt: skip
+"""Loaded before a turn's clock starts."""
+JUDGED_EVERY = 10
+"""Of how many pictures one is compared with what was recorded."""
 
 
 @dataclass(kw_only=True)
@@ -59,65 +63,87 @@ class Options:
     """A run with labelled episodes."""
     num_episodes: int = 2
     profile: Literal["portable", "masked-rgb"] = "portable"
+    codec: Codec = "av1"
+    """Of all sides; LeRobot's default is `av1`."""
     workers: int = 1
-    """Processes of our side. LeRobot's encodes by one per camera. Both sides' encoders have threads
+    """Processes of our side. LeRobot's encodes by one per camera. All sides' encoders have threads
     of their own."""
     rounds: int = 3
     """How often each side has its turn."""
-
-
-@dataclass(frozen=True, slots=True)
-class Turn:
-    """What one turn took."""
-
-    wall_s: float
-    cpu_s: float
-    """Of all processes."""
-    peak_mb: float
-    """Largest resident memory of any one process."""
+    streaming: bool = True
+    """Whether LeRobot's writer has turns with `streaming_encoding`, too."""
 
 
 def measure(options: Options, scratch: Path) -> str:
-    """Time both sides in turns and say what came out.
+    """Time all sides in turns and say what came out.
 
     Raises:
-        DatasetError: A side lost a frame.
+        DatasetError: Our side lost a frame, or LeRobot's by default did.
     """
     run = _copy_run(options, scratch / "run")
     folders = list_episodes(run)
     frames = sum(Source(folder).episode.num_frames for folder in folders)
-    turns: dict[str, list[Turn]] = {"ours": [], "lerobot": []}
+    sides: dict[str, Callable[[Path, Path, Options], None]] = {"ours": _ours, "lerobot": _lerobot}
+    if options.streaming:
+        sides["streaming"] = functools.partial(_lerobot, streaming=True)
+    turns: dict[str, list[Turn]] = {side: [] for side in sides}
+    lost = dict.fromkeys(sides, 0)
     for _ in range(options.rounds):
-        for side, work in (("ours", _ours), ("lerobot", _lerobot)):
+        for side, work in sides.items():
             out = scratch / side
-            shutil.rmtree(out, ignore_errors=True)
-            turns[side].append(_in_own_process(work, run, out, options))
-            _check_frames(out, frames)
-    ratio = statistics.median(
-        b.wall_s / a.wall_s for a, b in zip(turns["ours"], turns["lerobot"], strict=True)
-    )
-    size = Source(folders[0]).cameras[0]
+            for folder in (out, run / ".cache"):
+                shutil.rmtree(folder, ignore_errors=True)
+            turns[side].append(take_turn(work, (run, out, options), LIBRARIES))
+            sys.stderr.write(f"{side}: {turns[side][-1].wall_s:.2f} s\n")
+            lost[side] += _lost_pictures(out, frames)
+            if lost[side] and side != "streaming":
+                raise DatasetError(f"{side}: {lost[side]} pictures are missing")
+    camera = Source(folders[0]).cameras[0]
     lines = [
-        f"profile {options.profile}, {len(folders)} episodes, {frames} camera sets of "
-        f"{size.width} x {size.height}; ours: {options.workers} process(es); "
-        "lerobot: its defaults, a process per camera encodes"
+        f"{options.profile}, {options.codec}, {len(folders)} episodes, {frames} camera sets of "
+        f"{len(Source(folders[0]).cameras)} x {camera.width} x {camera.height}; medians of "
+        f"{options.rounds} rounds; ours: {options.workers} process(es)"
     ]
-    for side, taken in turns.items():
-        best = statistics.median(t.wall_s for t in taken)
-        cpu = statistics.median(t.cpu_s for t in taken)
-        peak = max(t.peak_mb for t in taken)
+    for side in sides:
         lines.append(
-            f"{side:8} {frames / best:7.1f} camera-sets/s   {best:6.2f} s   cpu {cpu:6.2f} s   "
-            f"largest process {peak:5.0f} MB"
+            f"{side:9} {_line(turns[side], turns['ours'], frames)}  lost {lost[side]}  "
+            f"videos {_videos(scratch / side, folders, options)}"
         )
-    cpu_ratio = statistics.median(
-        b.cpu_s / a.cpu_s for a, b in zip(turns["ours"], turns["lerobot"], strict=True)
-    )
-    lines.append(
-        f"ratio    {ratio:7.2f}x   (median of {options.rounds} rounds; of processor time "
-        f"{cpu_ratio:.2f}x)"
-    )
     return "\n".join(lines)
+
+
+def _line(mine: Sequence[Turn], ours: Sequence[Turn], frames: int) -> str:
+    wall, cpu = (statistics.median(getattr(t, n) for t in mine) for n in ("wall_s", "cpu_s"))
+    times = statistics.median(b.wall_s / a.wall_s for a, b in zip(ours, mine, strict=True))
+    works = statistics.median(b.cpu_s / a.cpu_s for a, b in zip(ours, mine, strict=True))
+    return (
+        f"{frames / wall:6.1f} camera-sets/s  {wall:6.2f} s = {times:4.2f} x ours  "
+        f"cpu {cpu:6.2f} s = {works:4.2f} x ours  peak {max(t.peak_mb for t in mine):5.0f} MB"
+    )
+
+
+def _videos(root: Path, folders: list[Path], options: Options) -> str:
+    """Size of a side's videos, and how near their pictures are to those that were recorded."""
+    size = sum(path.stat().st_size for path in root.rglob("*.mp4")) / 1e6
+    if options.profile != "portable":
+        return f"{size:.2f} MB"
+    episode = Episode.open(folders[0])
+    errors = []
+    for camera in episode.manifest.cameras:
+        recorded = (frame.rgb[camera.name] for frame in episode.frames([camera.name], depth=False))
+        video = min((root / "videos" / image_key(camera.name)).rglob("*.mp4"))
+        for k, (a, b) in enumerate(zip(recorded, _decoded(video), strict=False)):
+            if k % JUDGED_EVERY == 0:
+                errors.append(np.mean((a.astype(np.float64) - b) ** 2))
+    return f"{size:.2f} MB, {10 * np.log10(255**2 / np.mean(errors)):.1f} dB"
+
+
+def _decoded(video: Path) -> Iterator[np.ndarray]:
+    import av
+
+    with av.open(str(video)) as container:
+        for picture in container.decode(video=0):
+            yield picture.to_ndarray(format="rgb24")
 
 
 def _copy_run(options: Options, target: Path) -> Path:
@@ -127,70 +153,18 @@ def _copy_run(options: Options, target: Path) -> Path:
     return target
 
 
-def _in_own_process(
-    work: Callable[[Path, Path, Options], None], run: Path, out: Path, options: Options
-) -> Turn:
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_turn, args=(sender, work, run, out, options))
-    process.start()
-    pid = process.pid
-    assert pid is not None
-    sender.close()
-    try:
-        if not receiver.poll(TIMEOUT_S):
-            # And all that it has started: one of those may be what hangs.
-            os.killpg(pid, signal.SIGKILL)
-            raise DatasetError(f"{work.__name__}: no end after {TIMEOUT_S:.0f} s")
-        turn: Turn = receiver.recv()
-    except EOFError:
-        raise DatasetError(f"{work.__name__}: its process ended without a result") from None
-    process.join()
-    return turn
-
-
-def _turn(
-    pipe: Any, work: Callable[[Path, Path, Options], None], run: Path, out: Path, options: Options
-) -> None:
-    os.setpgrp()
-    work(run, out.with_name("warm"), _first_only(options))
-    shutil.rmtree(out.with_name("warm"), ignore_errors=True)
-    started, cpu = time.perf_counter(), _cpu_s()
-    work(run, out, options)
-    wall = time.perf_counter() - started
-    peak = max(
-        resource.getrusage(who).ru_maxrss
-        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    pipe.send(Turn(wall, _cpu_s() - cpu, peak / 1024))
-
-
-def _first_only(options: Options) -> Options:
-    """Options of the turn that loads libraries; it is not measured."""
-    return Options(run=options.run, num_episodes=1, profile=options.profile)
-
-
-def _cpu_s() -> float:
-    used = [resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(u.ru_utime + u.ru_stime for u in used)
-
-
 def _ours(run: Path, out: Path, options: Options) -> None:
-    if options.num_episodes < len(list_episodes(run)):
-        # The turn that loads libraries.
-        some = out.with_name("some")
-        shutil.rmtree(some, ignore_errors=True)
-        run = _copy_run(Options(run=run, num_episodes=options.num_episodes), some)
-    for _ in convert_run(run, out, profile=options.profile, workers=options.workers):
+    video = VideoConfig(codec=options.codec)
+    for _ in convert_run(run, out, profile=options.profile, video=video, workers=options.workers):
         pass
 
 
-def _lerobot(run: Path, out: Path, options: Options) -> None:
-    """LeRobot's recording loop as its documentation writes it, with default settings."""
+def _lerobot(run: Path, out: Path, options: Options, *, streaming: bool = False) -> None:
+    """LeRobot's recording loop as its documentation writes it."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     os.environ["HF_HUB_OFFLINE"] = "1"
-    folders = list_episodes(run)[: options.num_episodes]
+    folders = list_episodes(run)
     made = LeRobotFormat(ExportOptions(profile=options.profile), labelled=True)
     first = Source(folders[0])
     declared = {k: f.declaration() for k, f in made.features(first.manifest).items()}
@@ -198,7 +172,10 @@ def _lerobot(run: Path, out: Path, options: Options) -> None:
         key: {"dtype": f["dtype"], "shape": tuple(f["shape"]), "names": f["names"]}
         for key, f in declared.items()
     }
-    dataset = LeRobotDataset.create("local/bench", first.manifest.hz, features, root=out)
+    dataset = LeRobotDataset.create(
+        "local/bench", first.manifest.hz, features, root=out,
+        vcodec=ENCODERS[options.codec], streaming_encoding=streaming,
+    )  # fmt: skip
     for folder in folders:
         source = Source(folder)
         for row in _rows(source, set(features)):
@@ -226,19 +203,20 @@ def _rows(source: Source, keys: set[str]) -> Any:
                 continue
             camera = source.camera_at(name, frame.index)
             row[image_key(name)] = rgb
-            row[depth_key(name)] = png_text(depth_millimetres(frame.depth_m[name]))
+            row[depth_key(name)] = png_text(frame.depth_mm[name])
             row[mask_key(name)] = png_text(mask_bits(masks))
             row[intrinsics_key(name)] = camera.K.reshape(9).astype(np.float32)
             row[pose_key(name)] = camera.T_world_camera.reshape(16).astype(np.float32)
         yield row
 
 
-def _check_frames(root: Path, frames: int) -> None:
-    """Raise unless every camera's videos hold every frame."""
-    for folder in sorted((root / "videos").iterdir()):
-        found = sum(count_frames(path) for path in folder.rglob("*.mp4"))
-        if found != frames:
-            raise DatasetError(f"{folder}: expected {frames} pictures, found {found}")
+def _lost_pictures(root: Path, frames: int) -> int:
+    """How many pictures the videos of all cameras lack together."""
+    found = [
+        sum(count_frames(path) for path in folder.rglob("*.mp4"))
+        for folder in sorted((root / "videos").iterdir())
+    ]
+    return len(found) * frames - sum(found)
 
 
 if __name__ == "__main__":

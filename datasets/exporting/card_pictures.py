@@ -98,7 +98,9 @@ def _draw_motion(episodes: Sequence[Episode], path: Path) -> bool:
     from matplotlib.figure import Figure
 
     names = episodes[0].manifest.motion.state_names[:3]
-    figure = Figure(figsize=(8, 2.2), layout="constrained")
+    figure = Figure(figsize=(8, 2.2))
+    # Placed by hand: matplotlib's own layout draws everything twice.
+    figure.subplots_adjust(left=0.06, right=0.99, bottom=0.2, top=0.9)
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(names), squeeze=False)[0]
     for i, (name, axis) in enumerate(zip(names, axes, strict=True)):

@@ -88,8 +88,10 @@ def arrow_table(
 
 
 def write_columns(table: pa.Table, path: Path) -> None:
-    """Write the table of one part."""
-    pq.write_table(table, path, compression="zstd", row_group_size=max(len(table), 1))
+    """Write the table of one part; it is soon read again, so nothing is packed."""
+    pq.write_table(
+        table, path, compression="none", use_dictionary=False, row_group_size=max(len(table), 1)
+    )
 
 
 def read_columns(path: Path) -> pa.Table:

@@ -16,7 +16,7 @@ from codediffuser.datagen.episode import Episode, Frame
 from codediffuser.datasets.clouds import CloudConfig
 from codediffuser.datasets.episode_clouds import episode_columns
 from codediffuser.datasets.exporting.format import ExportOptions
-from codediffuser.datasets.exporting.pictures import depth_millimetres, mask_bits
+from codediffuser.datasets.exporting.pictures import mask_bits
 from codediffuser.datasets.exporting.source import Source
 from codediffuser.datasets.features import POINT_CHANNELS
 from codediffuser.errors import EpisodeError
@@ -146,7 +146,7 @@ def _masked_rgb(source: Source, camera: str) -> Callable[[Frame], np.ndarray]:
 
 
 def _depth(camera: str, shape: tuple[int, ...]) -> Callable[[Frame], np.ndarray]:
-    return lambda frame: depth_millimetres(frame.depth_m[camera]).reshape(shape)
+    return lambda frame: frame.depth_mm[camera].reshape(shape)
 
 
 def _mask(source: Source, camera: str, shape: tuple[int, ...]) -> Callable[[Frame], np.ndarray]:

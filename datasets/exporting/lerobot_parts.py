@@ -15,7 +15,6 @@ from codediffuser.datasets.episode_clouds import episode_columns
 from codediffuser.datasets.exporting.columns import Column, PartStats, arrow_table, write_columns
 from codediffuser.datasets.exporting.pictures import (
     PixelStats,
-    depth_millimetres,
     mask_bits,
     png_text,
 )
@@ -71,7 +70,7 @@ def make_portable(
     def picture(frame: Frame, camera: CameraRecord) -> np.ndarray:
         name = camera.name
         if camera.depth:
-            texts[depth_key(name)].append(png_text(depth_millimetres(frame.depth_m[name])))
+            texts[depth_key(name)].append(png_text(frame.depth_mm[name]))
         if camera.calibrated and labelled:
             texts[mask_key(name)].append(png_text(mask_bits(source.masks(frame, name))))
         return frame.rgb[name]
@@ -106,7 +105,11 @@ def _encode_videos(
     video: VideoConfig,
     picture: Callable[[Frame, CameraRecord], np.ndarray],
 ) -> PartStats:
-    """Stream every frame of the episode once, each picture from the log to its encoder."""
+    """Stream every frame of the episode once, each picture from the log to its encoder.
+
+    AV1 encoders have threads that work on the pictures of frames before. Threads of our own beside
+    them were tried, one per core: they take turns at Python's lock, and it took twice as long.
+    """
     cameras = {c.name: c for c in source.cameras if image_key(c.name) in features}
     hz = source.manifest.hz
     counts = {name: PixelStats() for name in cameras}

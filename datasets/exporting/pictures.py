@@ -56,15 +56,12 @@ def picture_of(text: str) -> np.ndarray:
     return np.asarray(picture)
 
 
-def depth_millimetres(depth_m: np.ndarray) -> np.ndarray:
-    """(H, W) float32 metres to uint16 millimetres; exact for depth that was stored so."""
-    return np.clip(np.rint(depth_m * 1000.0), 0, 65535).astype(np.uint16)
-
-
 def mask_bits(masks: np.ndarray) -> np.ndarray:
     """(R, H, W) bool to (H, W) uint8, bit r for role r: 1 pick, 2 place, 3 both."""
-    weights = (1 << np.arange(len(masks), dtype=np.uint8))[:, None, None]
-    return np.asarray((masks * weights).sum(axis=0, dtype=np.uint8))
+    bits = np.zeros(masks.shape[1:], dtype=np.uint8)
+    for role, mask in enumerate(masks):
+        bits |= mask.view(np.uint8) << role
+    return bits
 
 
 def masks_of_bits(bits: np.ndarray, roles: int = 2) -> np.ndarray:

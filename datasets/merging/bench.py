@@ -5,16 +5,20 @@ python -m codediffuser.datasets.merging.bench RUN/lerobot --shards 20
 
 from __future__ import annotations
 
+import functools
 import shutil
-import time
+import statistics
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import tyro
 
 from codediffuser.datasets.merging.merge import merge_datasets
-from codediffuser.measuring import print_measured
+from codediffuser.measuring import Turn, print_measured, take_turn
+
+LIBRARIES = ("av", "lerobot.datasets.aggregate", "pandas")
+"""Loaded before a turn's clock starts."""
 
 
 @dataclass(kw_only=True)
@@ -27,45 +31,35 @@ class Options:
     """How many datasets are merged."""
     episodes: int = 2
     """Episodes of each."""
-    rounds: int = 2
+    rounds: int = 3
     """How often each side has its turn."""
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """Medians over the rounds."""
-
-    shards: int
-    episodes: int
-    ours_s: float
-    """With every episode verified."""
-    unverified_s: float
-    lerobot_s: float
-
-    def __str__(self) -> str:
-        return (
-            f"{self.shards} shards of {self.episodes} episodes\n"
-            f"merge, verified      {self.ours_s:8.2f} s   {self.lerobot_s / self.ours_s:6.1f}x\n"
-            f"merge, --no-verify   {self.unverified_s:8.2f} s   "
-            f"{self.lerobot_s / self.unverified_s:6.1f}x\n"
-            f"aggregate_datasets   {self.lerobot_s:8.2f} s      1.0x   (verifies nothing)"
-        )
-
-
-def measure(options: Options, scratch: Path) -> Measured:
-    """Time both sides in turns; all files are in the page cache."""
+def measure(options: Options, scratch: Path) -> str:
+    """Time all sides in turns; all files are in the page cache."""
     shards = split_into_shards(
         options.dataset, options.shards, options.episodes, scratch / "shards"
     )
-    times: dict[str, list[float]] = {"ours": [], "unverified": [], "lerobot": []}
+    sides: dict[str, Callable[[list[Path], Path], None]] = {
+        "merge, verified": functools.partial(_ours, verify=True),
+        "aggregate_datasets": _lerobot,
+        "merge, --no-verify": functools.partial(_ours, verify=False),
+    }
+    turns: dict[str, list[Turn]] = {side: [] for side in sides}
     for _ in range(options.rounds):
-        times["ours"].append(_ours(shards, scratch / "ours", verify=True))
-        times["lerobot"].append(_lerobot(shards, scratch / "theirs"))
-        times["unverified"].append(_ours(shards, scratch / "ours", verify=False))
-    ours, unverified, lerobot = (float(np.median(t)) for t in (
-        times["ours"], times["unverified"], times["lerobot"]
-    ))  # fmt: skip
-    return Measured(options.shards, options.episodes, ours, unverified, lerobot)
+        for side, work in sides.items():
+            out = scratch / "merged"
+            shutil.rmtree(out, ignore_errors=True)
+            turns[side].append(take_turn(work, (shards, out), LIBRARIES))
+    lines = [f"{options.shards} shards of {options.episodes} episodes; LeRobot's verifies nothing"]
+    for side, mine in turns.items():
+        wall = statistics.median(turn.wall_s for turn in mine)
+        times = statistics.median(
+            b.wall_s / a.wall_s for a, b in zip(mine, turns["aggregate_datasets"], strict=True)
+        )
+        peak = max(turn.peak_mb for turn in mine)
+        lines.append(f"{side:20} {wall:7.2f} s  {times:5.1f}x  peak {peak:5.0f} MB")
+    return "\n".join(lines)
 
 
 def split_into_shards(dataset: Path, shards: int, episodes: int, out: Path) -> list[Path]:
@@ -78,22 +72,17 @@ def split_into_shards(dataset: Path, shards: int, episodes: int, out: Path) -> l
     return sorted(out.iterdir())
 
 
-def _ours(shards: list[Path], out: Path, *, verify: bool) -> float:
-    start = time.perf_counter()
-    for _ in merge_datasets(shards, out, verify=verify, overwrite=True):
+def _ours(shards: list[Path], out: Path, *, verify: bool) -> None:
+    for _ in merge_datasets(shards, out, verify=verify):
         pass
-    return time.perf_counter() - start
 
 
-def _lerobot(shards: list[Path], out: Path) -> float:
+def _lerobot(shards: list[Path], out: Path) -> None:
     from lerobot.datasets.aggregate import aggregate_datasets
 
-    shutil.rmtree(out, ignore_errors=True)
-    start = time.perf_counter()
     aggregate_datasets(
         [f"bench/{shard.name}" for shard in shards], "bench/all", roots=shards, aggr_root=out
     )
-    return time.perf_counter() - start
 
 
 if __name__ == "__main__":

@@ -36,6 +36,7 @@ def test_frames_stream_in_order_with_all_pictures(tmp_path, write_synthetic_epis
             np.testing.assert_array_equal(frame.rgb[name], seen.rgb[name])
             assert frame.depth_m[name].dtype == np.float32
             np.testing.assert_allclose(frame.depth_m[name] * 1000, seen.depth_mm[name], atol=1e-3)
+            np.testing.assert_array_equal(frame.depth_mm[name], seen.depth_mm[name])
 
 
 @pytest.mark.parametrize("k", [0, 2, 3, -1])

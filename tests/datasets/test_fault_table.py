@@ -18,6 +18,9 @@ import pytest
 from codediffuser.datagen import episode_check
 from codediffuser.datagen.episode_format import STATES
 from codediffuser.datagen.trajectory import ACTION_NAMES
+from codediffuser.datasets.convert import convert_run
+from codediffuser.datasets.export_meta import DOCUMENT
+from codediffuser.datasets.exporting.video import VideoConfig
 from codediffuser.datasets.features import ACTION, POINTS, STATE
 from codediffuser.datasets.validate import as_json, validate
 from codediffuser.files import sha256_file
@@ -289,6 +292,23 @@ def test_pictures_that_do_not_fit_are_named(
     else:
         damage(bad)
     assert kind in kinds(bad)
+
+
+def test_pictures_of_hidden_targets_are_not_accused_of_being_black(
+    labelled_run: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = labelled_run(2)
+    monkeypatch.setattr(
+        "codediffuser.datasets.exporting.source.role_masks",
+        lambda points, attention, camera, depth, **_: np.zeros(
+            (2, camera.height, camera.width), dtype=bool
+        ),
+    )
+    list(convert_run(run, profile="masked-rgb", video=VideoConfig(codec="h264")))
+    root = run / "exports" / "lerobot-masked-rgb"
+    assert not kinds(root)
+    (root / DOCUMENT).unlink()  # as LeRobot's edit tools leave it
+    assert not kinds(root)
 
 
 def test_a_clean_run_is_not_accused_and_json_says_so(exported_run: Path) -> None:

@@ -10,7 +10,6 @@ from hypothesis.extra.numpy import arrays
 
 from codediffuser.datasets.exporting.pictures import (
     PixelStats,
-    depth_millimetres,
     mask_bits,
     masks_of_bits,
     picture_of,
@@ -31,11 +30,6 @@ def test_depth_survives_text(depth: np.ndarray) -> None:
 @given(arrays(bool, st.tuples(st.just(2), st.integers(1, 9), st.integers(1, 9))))
 def test_masks_survive_text(masks: np.ndarray) -> None:
     assert np.array_equal(masks_of_bits(picture_of(png_text(mask_bits(masks)))), masks)
-
-
-def test_stored_millimetres_come_back_exactly() -> None:
-    stored = np.arange(65536, dtype=np.uint16)
-    assert np.array_equal(depth_millimetres(stored * np.float32(1e-3)), stored)
 
 
 @pytest.mark.parametrize("text", ["", "data:image/png;base64,", "no base64!", "aGVsbG8="])

@@ -6,16 +6,16 @@ import time
 
 import pytest
 
-from codediffuser.datasets.importing.bench import contents
 from codediffuser.datasets.importing.big_bag import bag_config, make_bag
-from codediffuser.datasets.importing.run import import_recordings
+from codediffuser.datasets.importing.run import REPORT, ImportReport, import_recordings
+from codediffuser.datasets.kill_drill import run_contents as contents
 from codediffuser.files import TEMPORARY_PREFIX
 
 SCRIPT = """
 import sys
 from pathlib import Path
 from codediffuser.datasets.importing.config import ImportConfig
-from codediffuser.datasets.importing.run import import_recordings
+from codediffuser.datasets.importing.run import REPORT, ImportReport, import_recordings
 source, config, run = map(Path, sys.argv[1:])
 for _ in import_recordings(source, ImportConfig.load(config), run): pass
 """
@@ -47,9 +47,17 @@ def test_killed_imports_end_equal(tmp_path, python):
 
 
 @pytest.mark.slow
-def test_workers_change_nothing(tmp_path):
-    source = make_bag(tmp_path / "bag.mcap", 1, episodes=3, size=(32, 24))
+def test_several_bags_at_once_give_what_one_after_the_other_gives(tmp_path):
+    for number in (9, 10):
+        make_bag(
+            tmp_path / "bags" / f"bag_{number}.mcap", 1, episodes=2, seed=number, size=(32, 24)
+        )
     for name, workers in (("one", 1), ("two", 2)):
-        for _ in import_recordings(source, bag_config(10), tmp_path / name, workers=workers):
-            pass
+        run = tmp_path / name
+        imported = import_recordings(tmp_path / "bags", bag_config(10), run, workers=workers)
+        assert [r.outcome for r in imported] == ["imported"] * 4
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    report = ImportReport.load(tmp_path / "two" / REPORT)
+    assert [e.recording for e in report.episodes] == [
+        "bag_9.mcap#0", "bag_9.mcap#1", "bag_10.mcap#0", "bag_10.mcap#1",
+    ]  # fmt: skip
