@@ -32,7 +32,11 @@ from codediffuser.datagen.task import get_task
 from codediffuser.errors import BelowTargetError
 from codediffuser.files import TEMPORARY_PREFIX
 
-NODE = {"num_cpus": 1, "object_store_memory": 80_000_000, "node_ip_address": "127.0.0.2"}
+NODE: dict[str, Any] = {
+    "num_cpus": 1,
+    "object_store_memory": 80_000_000,
+    "node_ip_address": "127.0.0.2",
+}
 """Bound to the machine itself, by an address that `ray.init` does not take for a name of the
 machine's own: 127.0.0.1 it replaces by one at which nothing listens."""
 
@@ -99,13 +103,15 @@ def drill(
 
 def _sabotaged(run: Path, options: CollectOptions) -> Iterator[str | list[str]]:
     """Record a run on two nodes; kill a worker after the first episode, a node after the second."""
+    # Ray gives a node 30 s to start, which a busy machine exceeds. It reads this when imported.
+    os.environ.setdefault("RAY_raylet_start_wait_time_s", "300")
     import ray
     from ray.cluster_utils import Cluster
 
     from codediffuser.datagen.executors.ray import RayExecutor
 
     cluster = Cluster(initialize_head=True, head_node_args={**NODE, "include_dashboard": False})
-    doomed = _add_node(cluster)
+    doomed = cluster.add_node(**NODE)
     ray.init(address=cluster.address, log_to_driver=False, logging_level=logging.ERROR)
     yield f"Ray {ray.__version__} with {len(ray.nodes())} nodes"
     try:
@@ -121,17 +127,6 @@ def _sabotaged(run: Path, options: CollectOptions) -> Iterator[str | list[str]]:
     finally:
         ray.shutdown()
         cluster.shutdown()
-
-
-def _add_node(cluster: Any, tries: int = 3) -> Any:
-    """Add a second node; Ray gives it 30 s to start, which a busy machine may exceed."""
-    for left in reversed(range(tries)):
-        try:
-            return cluster.add_node(**NODE)
-        except Exception:  # Ray raises nothing more precise.
-            if left == 0:
-                raise
-    raise AssertionError
 
 
 def _kill_worker(run: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,6 +45,40 @@ def same(a: dict[str, Frame], b: dict[str, Frame]) -> bool:
         and np.array_equal(a[n].object_index, b[n].object_index)
         for n in a
     )
+
+
+def sapiens_own(renderer: Renderer, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colour, depth in mm and entity of one camera by SAPIEN's shader `minimal`."""
+    sapien = pytest.importorskip("sapien")
+    for picture in ("Color", "ColorRaw"):
+        sapien.render.set_picture_format(picture, "r8g8b8a8unorm")
+    sapien.render.set_picture_format("PositionSegmentation", "r16g16b16a16sint")
+    shaders = Path(sapien.__file__).parent / "vulkan_shader" / "minimal"
+    ours, config = renderer._components[name], renderer.cameras
+    camera = sapien.render.RenderCameraComponent(config.width, config.height, str(shaders))
+    camera.set_fovy(config.fov_y_rad, compute_x=True)
+    camera.near, camera.far = config.near_m, config.far_m
+    entity = sapien.Entity()
+    entity.add_component(camera)
+    entity.set_pose(ours.entity.pose)
+    renderer._scene.add_entity(entity)
+    renderer._scene.update_render()
+    camera.take_picture()
+    color, position = camera.get_picture("Color"), camera.get_picture("PositionSegmentation")
+    renderer._scene.remove_entity(entity)
+    return color[..., :3].astype(int), -position[..., 2], position[..., 3]
+
+
+def test_pictures_are_those_of_sapiens_own_shader(
+    small_renderer: Renderer, expert_run: ExpertRun, start: Moment
+) -> None:
+    small_renderer.set_scene(expert_run.scene)
+    for name, frame in small_renderer.render(start).items():
+        color, depth_mm, entity = sapiens_own(small_renderer, name)
+        difference = np.abs(color - frame.rgb)
+        assert difference.max() <= 1 and (difference > 0).mean() < 1e-3
+        assert (np.rint(frame.depth_m * 1000) == depth_mm).mean() > 0.9999
+        np.testing.assert_array_equal(frame.object_index, small_renderer._object_index[entity])
 
 
 def test_frames_have_the_promised_shapes_and_types(
