@@ -43,6 +43,7 @@ class Verb(ABC):
 
 def stage_bars() -> Progress:
     """Return bars with counts, times and a `note` field, on stderr."""
+
     # In a narrow window the note gives way; counts and times stay whole.
     def whole(width: int) -> Column:
         return Column(min_width=width, no_wrap=True)
