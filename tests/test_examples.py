@@ -22,7 +22,7 @@ WORDS = {
     "01_sample_scenes": "stow_book, real: ",
     "02_run_an_expert": "success: True",
     "03_step_the_environment": "success: True",
-    "04_words_to_targets": "refused: line 1",
+    "04_words_to_targets": "refused: the program is not allowed: line 1",
     "05_attention_over_time": "recorded: 000000 success",
     "06_evaluate_your_own_policy": "success\n1 of 1",
 }
