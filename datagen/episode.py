@@ -154,6 +154,9 @@ class Episode:
             EpisodeError: There is no such camera, or it is not calibrated.
         """
         self._camera_names([name])
+        if name in self.cameras:
+            camera = self.cameras[name]
+            return camera.K, camera.width, camera.height
         with self._reading():
             info = self._log.camera_info(name)
         if info is None:

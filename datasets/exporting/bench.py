@@ -2,10 +2,11 @@
 
 python -m codediffuser.datasets.exporting.bench RUN --num-episodes 2
 
-All sides read the same episodes from their logs and write the same features with the same codec and
-quality. `lerobot` is its documented recording loop with every setting at its default: a frame's
-pictures are written one by one as PNG, then a process per camera encodes. `streaming` is the same
-with `streaming_encoding=True`, where encoders take the pictures as they come. Each turn is a
+All sides read the same episodes from their logs and write the same features. `lerobot` is its
+documented recording loop with every setting at its default: a frame's pictures are written one by
+one as PNG, then a process per camera encodes as AV1. `streaming` is the same with
+`streaming_encoding=True`, where encoders take the pictures as they come. With another `--codec` on
+our side, size and fidelity of the videos tell whether the comparison is fair. Each turn is a
 process of its own, whose memory is watched from outside.
 """
 
@@ -64,7 +65,9 @@ class Options:
     num_episodes: int = 2
     profile: Literal["portable", "masked-rgb"] = "portable"
     codec: Codec = "av1"
-    """Of all sides; LeRobot's default is `av1`."""
+    """Of our side."""
+    lerobot_codec: Codec = "av1"
+    """Of LeRobot's; `av1` is its default."""
     workers: int = 1
     """Processes of our side. LeRobot's encodes by one per camera. All sides' encoders have threads
     of their own."""
@@ -100,7 +103,8 @@ def measure(options: Options, scratch: Path) -> str:
                 raise DatasetError(f"{side}: {lost[side]} pictures are missing")
     camera = Source(folders[0]).cameras[0]
     lines = [
-        f"{options.profile}, {options.codec}, {len(folders)} episodes, {frames} camera sets of "
+        f"{options.profile}, ours {options.codec}, LeRobot's {options.lerobot_codec}, "
+        f"{len(folders)} episodes, {frames} camera sets of "
         f"{len(Source(folders[0]).cameras)} x {camera.width} x {camera.height}; medians of "
         f"{options.rounds} rounds; ours: {options.workers} process(es)"
     ]
@@ -174,7 +178,7 @@ def _lerobot(run: Path, out: Path, options: Options, *, streaming: bool = False)
     }
     dataset = LeRobotDataset.create(
         "local/bench", first.manifest.hz, features, root=out,
-        vcodec=ENCODERS[options.codec], streaming_encoding=streaming,
+        vcodec=ENCODERS[options.lerobot_codec], streaming_encoding=streaming,
     )  # fmt: skip
     for folder in folders:
         source = Source(folder)

@@ -6,13 +6,14 @@ decoding at most two, and a file can be cut or joined at any episode.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import cv2
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from codediffuser.errors import DatasetError, ShapeError
 from codediffuser.schema import Strict
@@ -23,6 +24,11 @@ if TYPE_CHECKING:
 Codec = Literal["av1", "h264", "hevc"]
 ENCODERS = {"av1": "libsvtav1", "h264": "h264", "hevc": "hevc"}
 """FFmpeg's encoder of each codec: those that LeRobot's own writer takes."""
+SPEEDS = {"av1": "12", "h264": "veryfast", "hevc": "superfast"}
+"""Preset of each encoder."""
+CRF = {"av1": 30, "h264": 17, "hevc": 21}
+"""Quality of each codec: AV1's is that of LeRobot's writer, the others come as near to the pictures
+(`exporting.bench` tells)."""
 PIXEL_FORMAT = "yuv420p"
 
 
@@ -31,18 +37,28 @@ class VideoConfig(Strict):
 
     codec: Codec = "av1"
     """`av1` is the smallest; `h264` encodes fastest and opens everywhere."""
-    crf: int = Field(default=30, ge=0, le=63)
-    """Constant quality; lower is better and larger."""
+    crf: int = Field(default=CRF["av1"], ge=0, le=63)
+    """Constant quality; lower is better and larger. By default that of the codec."""
     key_frame_every: int = Field(default=2, ge=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_quality(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and given.get("crf") is None:
+            codec = given.get("codec", "av1")
+            return {**given, "crf": CRF.get(codec, CRF["av1"])}
+        return given
 
     @property
     def encoder_options(self) -> dict[str, str]:
         """What FFmpeg's encoder is told."""
-        options = {"g": str(self.key_frame_every), "crf": str(self.crf)}
+        options = {
+            "g": str(self.key_frame_every), "crf": str(self.crf), "preset": SPEEDS[self.codec]
+        }  # fmt: skip
         if self.codec == "av1":
             # Every camera has an encoder; more threads in each cost time and memory, and give the
             # same bytes. (`lookahead=0` would save a twentieth of the time, and gives others.)
-            return {**options, "preset": "12", "svtav1-params": "lp=1"}
+            return {**options, "svtav1-params": "lp=1"}
         # One thread and no reordered frames: the same bytes on any machine, and times that start
         # at 0 without an edit list.
         options |= {"bf": "0", "threads": "1"}
