@@ -11,13 +11,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from codediffuser.datagen.shards.run import ShardTask, run_shard
+from codediffuser.datagen.shards.run import ShardTask, WorkerDiedError, run_shard
 from codediffuser.errors import CodeDiffuserError, SetupError
 
 START_TIMEOUT_S = 300.0
 """After so long without any actor, the cluster has no room for one."""
-
-_log = logging.getLogger(__name__)
 
 
 class _ShardActor:
@@ -105,9 +103,10 @@ class _Crew:
             try:
                 answered = self._ray.get(answer)
             except self._ray.exceptions.RayError as died:
-                _log.warning("a Ray worker died: %s", died)
-                self.start(1)
                 error: Exception | None = died
+                if not isinstance(died, self._ray.exceptions.RayTaskError):
+                    error = WorkerDiedError(f"a Ray worker died: {str(died).splitlines()[0]}")
+                self.start(1)
             else:
                 error = answered if isinstance(answered, Exception) else None
                 self.idle.append(actor)

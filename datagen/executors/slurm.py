@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from codediffuser.datagen.shards.run import ShardTask, run_shard
+from codediffuser.datagen.shards.run import ShardTask, WorkerDiedError, run_shard
 from codediffuser.errors import CodeDiffuserError, SetupError
 
 POLL_S = 1.0
@@ -102,7 +102,7 @@ class SlurmExecutor:
         try:
             answer: Exception | None = job.result()
         except (self._submitit.core.utils.UncompletedJobError, OSError) as error:
-            return RuntimeError(f"job {job.job_id}: {str(error).strip().splitlines()[0]}")
+            return WorkerDiedError(f"job {job.job_id}: {str(error).strip().splitlines()[0]}")
         return answer
 
 

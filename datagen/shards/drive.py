@@ -15,11 +15,19 @@ from codediffuser.datagen.physics_store import forget_physics
 from codediffuser.datagen.record import remove_folder
 from codediffuser.datagen.shards.lease import LEASE_S, LeaseHeldError, LeaseLostError
 from codediffuser.datagen.shards.plan import SHARD_SIZE, ShardPlan, make_plan
-from codediffuser.datagen.shards.run import ShardTask, as_earlier, find_result, forget_result
+from codediffuser.datagen.shards.run import (
+    ShardTask,
+    WorkerDiedError,
+    as_earlier,
+    find_result,
+    forget_result,
+)
 from codediffuser.errors import CodeDiffuserError, SetupError
 
 MAX_ROUNDS = 5
 """How often shards that failed are given out again."""
+MENDED = (LeaseLostError, WorkerDiedError)
+"""Errors of ours that giving a shard out again mends."""
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +115,7 @@ def _run_rounds(
             failed.append(task.shard_id)
             if isinstance(error, LeaseHeldError):
                 held_s = max(held_s, error.left_s)
-            elif isinstance(error, CodeDiffuserError) and not isinstance(error, LeaseLostError):
+            elif isinstance(error, CodeDiffuserError) and not isinstance(error, MENDED):
                 raise error
             bug = None if isinstance(error, CodeDiffuserError) else error
             _log.warning("shard %s is given out again: %s", task.shard_id, error, exc_info=bug)

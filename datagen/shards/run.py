@@ -15,13 +15,17 @@ from codediffuser.datagen.episode import load_manifest
 from codediffuser.datagen.physics_store import PHYSICS
 from codediffuser.datagen.shards.lease import LEASE_S, LeaseLostError, holding, publish
 from codediffuser.datagen.shards.plan import SHARDS, Shard, ShardPlan, plan_path
-from codediffuser.errors import EpisodeError
+from codediffuser.errors import CodeDiffuserError, EpisodeError
 from codediffuser.files import remove_partials, sha256_json
 from codediffuser.schema import Document, Strict
 
 DONE = "done"
 
 _log = logging.getLogger(__name__)
+
+
+class WorkerDiedError(CodeDiffuserError):
+    """A worker ended without an answer; another one gets its shard."""
 
 
 @dataclass(frozen=True, slots=True)

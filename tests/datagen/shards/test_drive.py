@@ -23,6 +23,7 @@ from codediffuser.datagen.shards.lease import LeaseHeldError, holding, take
 from codediffuser.datagen.shards.run import (
     ShardResult,
     ShardTask,
+    WorkerDiedError,
     find_result,
     result_path,
     run_shard,
@@ -42,12 +43,13 @@ class Lab:
         self.fails: set[str] = set()
         self.hangs: set[str] = set()
         self.dies_after: int | None = None
+        self.death: Exception = ConnectionError("the node is gone")
 
     def record(self, jobs: Sequence[DemoJob], _: CollectOptions) -> Iterator[DemoResult]:
         for job in jobs:
             if self.dies_after is not None and len(self.made) >= self.dies_after:
                 self.dies_after = None
-                raise ConnectionError("the node is gone")
+                raise self.death
             self.made.append(job.scene_id)
             cause = "expert" if job.scene_id in self.fails else "process"
             if job.scene_id in self.fails | self.hangs:
@@ -123,6 +125,14 @@ def test_a_worker_that_dies_midway_loses_nothing_and_repeats_nothing(lab: Lab) -
     results = lab.collect()
     assert sorted(results) == list(IDS)
     assert sorted(lab.made) == list(IDS)
+
+
+def test_a_worker_that_died_is_told_in_one_line(lab: Lab, caplog: pytest.LogCaptureFixture) -> None:
+    lab.dies_after, lab.death = 3, WorkerDiedError("a worker died: killed")
+    assert sorted(lab.collect()) == list(IDS)
+    (record,) = caplog.records
+    assert record.getMessage() == "shard 0001 is given out again: a worker died: killed"
+    assert not record.exc_info
 
 
 def test_a_shard_that_always_fails_ends_with_its_last_reason(lab: Lab) -> None:
