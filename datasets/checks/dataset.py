@@ -30,7 +30,7 @@ from codediffuser.datasets.export_meta import (
     load_info,
     require_features,
 )
-from codediffuser.datasets.features import ACTION, LABELS, STATE, mask_key
+from codediffuser.datasets.features import ACTION, LABELS, STATE, depth_key, mask_key
 from codediffuser.datasets.stats import Stats
 from codediffuser.errors import CodeDiffuserError
 
@@ -78,10 +78,12 @@ def check_dataset(root: Path) -> Iterator[Finding]:
         yield Finding("dataset.changed", str(root), what, REMEDY)
 
 
-def _is_masked(info: Mapping[str, Any], document: DatasetDocument | None) -> bool:
-    """Whether pictures show what is attended alone, the profile `masked-rgb`."""
+def _is_masked(info: Mapping[str, Any], document: DatasetDocument | None) -> bool | None:
+    """Whether pictures show what is attended alone, the profile `masked-rgb`; None: not told."""
     if document is not None:
         return document.profile == "masked-rgb"
     # Edited by LeRobot's tools. Of labelled episodes, other profiles keep masks beside pictures.
     names = info["features"]
-    return LABELS in names and not any(name.startswith(mask_key("")) for name in names)
+    if any(name.startswith((mask_key(""), depth_key(""))) for name in names):
+        return False
+    return True if LABELS in names else None

@@ -14,6 +14,8 @@ from codediffuser.datagen.episode_check import BLACK, FROZEN_S, Finding, longest
 from codediffuser.datasets.checks.numbers import REMEDY
 from codediffuser.datasets.export_meta import VIDEO
 
+MASKED_SHARE = 0.8
+"""Of a picture that shows what is attended alone, at least so much is black."""
 THUMB = 4
 """Every how many pixels are looked at: a black or frozen picture is so everywhere."""
 SAME = 8
@@ -26,7 +28,7 @@ MOVED = 0.3
 
 def check_videos(
     root: Path, videos: Sequence[str], rows: Sequence[dict[str, Any]], fps: int,
-    states: Mapping[int, np.ndarray], *, masked: bool = False,
+    states: Mapping[int, np.ndarray], *, masked: bool | None = False,
 ) -> Iterator[Finding]:  # fmt: skip
     """Decode every video once and judge each episode's stretch of it.
 
@@ -37,7 +39,7 @@ def check_videos(
         fps: Frames per second.
         states: (T, D) of each episode: a picture may stay the same while the robot stands still.
         masked: Whether pictures show what is attended alone: those are black while it is hidden,
-            and neither black nor frozen ones are told.
+            and neither black nor frozen ones are told. None judges each video by its pictures.
     """
     for key in videos:
         by_file: dict[Path, list[dict[str, Any]]] = {}
@@ -46,12 +48,12 @@ def check_videos(
             path = root / VIDEO.format(video_key=key, chunk_index=at[0], file_index=at[1])
             by_file.setdefault(path, []).append(row)
         for path, held in by_file.items():
-            yield from _check_file(path, key, held, fps, None if masked else states)
+            yield from _check_file(path, key, held, fps, states, masked)
 
 
 def _check_file(
     path: Path, key: str, rows: list[dict[str, Any]], fps: int,
-    states: Mapping[int, np.ndarray] | None,
+    states: Mapping[int, np.ndarray], masked: bool | None,
 ) -> Iterator[Finding]:  # fmt: skip
     try:
         times, pictures = _decode(path)
@@ -62,6 +64,8 @@ def _check_file(
     if len(times) > 1 and np.abs(np.diff(times) - 1 / fps).max() > 0.25 / fps:
         what = f"pictures do not follow one another every 1/{fps} s"
         yield Finding("video.time", str(path), what, REMEDY)
+    if masked is None:
+        masked = _looks_masked(pictures)
     for row in rows:
         start = float(row[f"videos/{key}/from_timestamp"])
         stop = float(row[f"videos/{key}/to_timestamp"])
@@ -71,8 +75,15 @@ def _check_file(
             what = f"expected {length} pictures from {start:.2f} s on, found {int(own.sum())}"
             yield Finding("video.length", where, what, REMEDY)
             continue
-        if states is not None:
+        if not masked:
             yield from _check_pictures(where, pictures[own], fps, states[int(row["episode_index"])])
+
+
+def _looks_masked(pictures: np.ndarray) -> bool:
+    """Whether the pictures (F, h, w) that are not black are so but for a small part of each."""
+    dark = pictures.reshape(len(pictures), -1) < BLACK
+    lit = dark[~dark.all(axis=1)]
+    return bool(len(lit)) and float(np.median(lit.mean(axis=1))) > MASKED_SHARE
 
 
 def _check_pictures(where: str, seen: np.ndarray, fps: int, state: np.ndarray) -> Iterator[Finding]:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,7 +22,7 @@ from codediffuser.datagen.trajectory import ACTION_NAMES
 from codediffuser.datasets.convert import convert_run
 from codediffuser.datasets.export_meta import DOCUMENT
 from codediffuser.datasets.exporting.video import VideoConfig
-from codediffuser.datasets.features import ACTION, POINTS, STATE
+from codediffuser.datasets.features import ACTION, LABELS, POINTS, STATE
 from codediffuser.datasets.validate import as_json, validate
 from codediffuser.files import sha256_file
 from codediffuser.labeling.store import load_labels, save_labels
@@ -309,6 +310,29 @@ def test_pictures_of_hidden_targets_are_not_accused_of_being_black(
     assert not kinds(root)
     (root / DOCUMENT).unlink()  # as LeRobot's edit tools leave it
     assert not kinds(root)
+
+
+def test_masked_pictures_are_known_when_a_stock_tool_has_removed_the_labels(
+    labelled_run: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from lerobot.datasets.dataset_tools import remove_feature
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    def seen_now_and_then(*arguments: Any, **_: Any) -> np.ndarray:
+        camera = arguments[2]
+        masks = np.zeros((2, camera.height, camera.width), dtype=bool)
+        calls.append(1)
+        masks[:, : camera.height // 3, : camera.width // 3] = len(calls) % 3 == 0
+        return masks
+
+    calls: list[int] = []
+    run = labelled_run(2)
+    monkeypatch.setattr("codediffuser.datasets.exporting.source.role_masks", seen_now_and_then)
+    list(convert_run(run, profile="masked-rgb", video=VideoConfig(codec="h264")))
+    whole = LeRobotDataset("me/masked", root=run / "exports" / "lerobot-masked-rgb")
+    thin = tmp_path / "thin"
+    remove_feature(whole, [LABELS], output_dir=thin, repo_id="me/thin")
+    assert not kinds(thin)
 
 
 def test_a_clean_run_is_not_accused_and_json_says_so(exported_run: Path) -> None:
