@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from codediffuser.errors import LabelError
 from codediffuser.labeling.instances import SelectableInstance
 from codediffuser.labeling.label import ROLES, Role
 
@@ -81,6 +82,21 @@ def next_role(draft: Draft, needs: Sequence[RoleNeed]) -> Role | None:
 def complete(draft: Draft, needs: Sequence[RoleNeed]) -> bool:
     """Whether every role has exactly what it takes."""
     return all(count == 0 for count in missing(draft, needs).values())
+
+
+def require_complete(draft: Draft, needs: Sequence[RoleNeed]) -> None:
+    """Raise `LabelError` with what is missing or too many, unless the draft is complete."""
+    if complete(draft, needs):
+        return
+    counts = missing(draft, needs)
+    said = []
+    for need in needs:
+        count = counts[need.role]
+        if count > 0:
+            said.append(f"{count} {need.category} to {need.role} is missing")
+        elif count < 0:
+            said.append(f"{-count} {need.category} too many to {need.role}")
+    raise LabelError("; ".join(said) or "nothing can be selected in this episode")
 
 
 def toggle(draft: Draft, instance: SelectableInstance, needs: Sequence[RoleNeed]) -> Draft:

@@ -18,8 +18,7 @@ from codediffuser.labeling.gui.draft import (
     Draft,
     RoleNeed,
     Selection,
-    complete,
-    missing,
+    require_complete,
     select_box,
     toggle,
 )
@@ -179,7 +178,7 @@ class Session:
             LabelError: A role has too few or too many targets.
         """
         scene = self._shown()
-        self._check_complete()
+        require_complete(self.draft, self.needs)
         self._tick()
         seconds = round(self._seconds, 1)
         saved = Saving(
@@ -301,19 +300,6 @@ class Session:
         ):
             return ()
         return _selection(self.document)
-
-    def _check_complete(self) -> None:
-        if complete(self.draft, self.needs):
-            return
-        counts = missing(self.draft, self.needs)
-        said = []
-        for need in self.needs:
-            count = counts[need.role]
-            if count > 0:
-                said.append(f"{count} {need.category} to {need.role} is missing")
-            elif count < 0:
-                said.append(f"{-count} {need.category} too many to {need.role}")
-        raise LabelError("; ".join(said) or "nothing can be selected in this episode")
 
     def _select(self, selection: Selection, prelabel: str | None = None) -> None:
         scene = self._shown()
