@@ -1,6 +1,8 @@
 """What README and docs promise: Python runs, verbs exist, links lead somewhere."""
 
 import re
+import shlex
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -30,16 +32,6 @@ def test_every_verb_has_its_line() -> None:
     assert sorted(rows) == sorted(VERBS)
 
 
-def test_every_command_of_the_chain_is_understood() -> None:
-    from codediffuser.cli import parse
-
-    commands = re.findall(r"^codediffuser (.+)$", README, re.MULTILINE)
-    assert len(commands) >= 7
-    for command in commands:
-        verb = parse(command.split())
-        assert getattr(verb, "auto", True), "labels come from the simulator so far"
-
-
 PAGES = ["README.md", "CONTRIBUTING.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]
 
 
@@ -49,3 +41,43 @@ def test_links_lead_to_files(name: str) -> None:
     targets = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)
     beside = (ROOT / name).parent
     assert [target for target in targets if not (beside / target).exists()] == []
+
+
+def commands_of(name: str, start: str) -> list[list[str]]:
+    """Words of each command in the code of a page that begins with `start`."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    blocks = [block.replace("\\\n", " ") for block in re.findall(r"```.*?```", text, re.DOTALL)]
+    lines = [line for block in blocks for line in block.splitlines()]
+    lines += re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    found = [shlex.split(line, comments=True)[len(start.split()) :]
+             for line in lines if line.startswith(f"{start} ")]  # fmt: skip
+    return [words for words in found if words and "..." not in words]
+
+
+def test_the_pages_have_commands() -> None:
+    assert len(commands_of("README.md", "codediffuser")) >= 17
+    assert len(commands_of("docs/importing.md", "codediffuser")) >= 3
+
+
+@pytest.mark.parametrize("name", sorted(PAGES))
+def test_every_command_is_understood(name: str) -> None:
+    from codediffuser.cli import parse
+
+    for words in commands_of(name, "codediffuser"):
+        if words[0] != "VERB" and len(words) > 1:
+            parse(words)
+
+
+@pytest.mark.parametrize("name", sorted(PAGES))
+def test_every_module_that_is_run_has_the_options_that_are_given(name: str) -> None:
+    for module, *words in commands_of(name, "python -m"):
+        if not module.startswith("codediffuser."):
+            continue
+        spec = find_spec(module)
+        assert spec is not None and spec.origin is not None, module
+        source = Path(spec.origin).read_text(encoding="utf-8")
+        assert "__main__" in source, module
+        for word in words:
+            if word.startswith("--"):
+                option = word.removeprefix("--").removeprefix("no-").replace("-", "_")
+                assert re.search(rf"\b{option}\b", source), f"{module} has no {word}"
