@@ -106,7 +106,8 @@ class Episode:
         """The configuration that was reset to; `EpisodeError` when none was stored."""
         if fmt.SCENE not in self.manifest.files:
             raise EpisodeError(
-                f"{self.folder}: a {self.manifest.source} episode without scene file"
+                f"{self.folder}: a {self.manifest.source} episode without scene file; label it "
+                "in the browser, or name its scene under 'scenes:' in import.yaml and import again"
             )
         return SceneSpec.load(self.folder / fmt.SCENE)
 

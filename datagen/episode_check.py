@@ -28,6 +28,10 @@ BLACK = 8
 """A picture whose brightest value of 255 is below this shows nothing."""
 FROZEN_S = 1.0
 """A camera that repeats itself for longer hangs, if something moved meanwhile."""
+FROZEN_REMEDY = (
+    "check the camera and its cable; record the episode again, or leave it out; if a simulator was "
+    "recorded, say 'source: simulation' in import.yaml"
+)
 STILL_M = 0.10
 """The hand cannot cross this much of the scene unseen by a working camera."""
 
@@ -148,13 +152,13 @@ def _check_pictures(episode: Episode) -> Iterator[Finding]:
     for name, frames in black.items():
         what = f"camera '{name}': {len(frames)} black pictures, first {frames[0]}"
         yield Finding("episode.black", log, what, remedy)
-    if fmt.STATES in episode.manifest.files:
+    if episode.manifest.source == "simulation":
         return  # Rendered pictures have no noise: they repeat where the camera sees nothing move.
     for name, same in repeats.items():
         first, count = longest_repeat(same)
         if count > FROZEN_S * episode.manifest.hz and _travelled_m(episode, first, count) > STILL_M:
             what = f"camera '{name}': the same picture {count} times in a row from frame {first} on"
-            yield Finding("episode.frozen", log, f"{what}, while the hand moved", remedy)
+            yield Finding("episode.frozen", log, f"{what}, while the hand moved", FROZEN_REMEDY)
 
 
 def longest_repeat(same_as_last: Sequence[bool]) -> tuple[int, int]:

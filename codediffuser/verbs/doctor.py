@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from rich.table import Table
 
 from codediffuser.errors import SetupError
-from codediffuser.verbs.verb import Verb, console
+from codediffuser.verbs.verb import Verb, console, print_table
 
 
 @dataclass(kw_only=True)
@@ -32,6 +32,6 @@ class Doctor(Verb):
             table.add_row(mark, result.name, result.detail, "" if result.ok else result.remedy)
             if result.required and not result.ok:
                 broken.append(result.name)
-        console.print(table)
+        print_table(table)
         if broken:
             raise SetupError(f"this machine lacks: {', '.join(broken)}; see the last column above")

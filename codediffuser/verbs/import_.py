@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from codediffuser.errors import BelowTargetError, ConfigError
-from codediffuser.verbs.verb import Verb, console, track
+from codediffuser.verbs.verb import Verb, console, print_table, track
 
 if TYPE_CHECKING:
     from codediffuser.datasets.importing.run import ImportResult
@@ -91,10 +91,12 @@ def _show(survey: Survey) -> None:
     length = f"{survey.seconds:.1f} s" if survey.seconds else f"{survey.episodes} episodes"
     console.print(f"{survey.path.name}: {survey.format}, {length}", markup=False)
     table = Table(box=None, pad_edge=False)
-    for name in ("topic", "type", "role"):
-        table.add_column(name, no_wrap=True)
+    # A narrow terminal folds names and keeps numbers whole.
+    table.add_column("topic", overflow="fold")
+    table.add_column("type", overflow="fold")
+    table.add_column("role", no_wrap=True)
     for name in ("count", "Hz", "gaps", "longest"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     for topic in survey.topics:
         rate = f"{topic.rate_hz:.1f}" if topic.rate_hz else ""
         longest = f"{topic.longest_gap_s:.2f} s" if topic.gaps else ""
@@ -102,8 +104,7 @@ def _show(survey: Survey) -> None:
             topic.name, topic.type, topic.role, str(topic.count), rate, str(topic.gaps or ""),
             longest,
         )  # fmt: skip
-    # A narrow terminal wraps lines; names that are cut short would be of no use.
-    console.print(table, width=max(console.width, 140), soft_wrap=True)
+    print_table(table)
     for text in survey.damage:
         console.print(f"damaged: {text}", markup=False)
 

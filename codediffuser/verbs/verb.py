@@ -18,7 +18,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Column
+from rich.table import Column, Table
 
 T = TypeVar("T")
 
@@ -27,6 +27,8 @@ NumEpisodes = Annotated[int, tyro.conf.arg(aliases=["-n"])]
 
 console = Console(stderr=True, highlight=False)
 """People read stderr; stdout carries only the result, so that scripts can."""
+WIDEST = 400
+"""A table in a file has at most so many columns."""
 
 
 @dataclass(kw_only=True)
@@ -39,6 +41,15 @@ class Verb(ABC):
     @abstractmethod
     def run(self) -> Path | str | None:
         """Do the work; what is returned is printed last."""
+
+
+def print_table(table: Table) -> None:
+    """Print a table: as wide as the terminal, or as it needs to be in a pipe or file."""
+    if console.is_terminal:
+        console.print(table)
+        return
+    needed = table.__rich_measure__(console, console.options.update(max_width=WIDEST)).maximum
+    Console(file=console.file, width=max(needed, console.width), highlight=False).print(table)
 
 
 def stage_bars() -> Progress:

@@ -17,7 +17,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from codediffuser.datagen import episode_check
-from codediffuser.datagen.episode_format import STATES
 from codediffuser.datagen.trajectory import ACTION_NAMES
 from codediffuser.datasets.convert import convert_run
 from codediffuser.datasets.export_meta import DOCUMENT
@@ -219,16 +218,16 @@ def test_damage_is_named(exported_run: Path, fault: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "travel_m", "files", "found"),
+    ("seconds", "travel_m", "source", "found"),
     [
-        (2.0, 0.2, {}, True),
-        (2.0, 0.0, {}, False),
-        (0.5, 0.2, {}, False),
-        (2.0, 0.2, {STATES: None}, False),  # rendered: the hand was out of view
+        (2.0, 0.2, "real", True),
+        (2.0, 0.0, "real", False),
+        (0.5, 0.2, "real", False),
+        (2.0, 0.2, "simulation", False),  # rendered: the hand was out of view
     ],
 )
 def test_a_camera_hangs_when_it_repeats_itself_while_the_hand_moves(
-    tmp_path: Path, seconds: float, travel_m: float, files: dict, found: bool
+    tmp_path: Path, seconds: float, travel_m: float, source: str, found: bool
 ) -> None:
     hz, frames = 25, 75
     rng = np.random.default_rng(0)
@@ -240,7 +239,7 @@ def test_a_camera_hangs_when_it_repeats_itself_while_the_hand_moves(
     episode = SimpleNamespace(
         log_path=tmp_path / "episode.mcap", remedy="record again", actions=actions,
         manifest=SimpleNamespace(
-            hz=hz, files=files,
+            hz=hz, source=source,
             cameras=[SimpleNamespace(name="left", height=6, width=8, depth=False)],
             motion=SimpleNamespace(action_names=ACTION_NAMES),
         ),

@@ -7,6 +7,7 @@ from codediffuser.datasets.importing.config import ImportConfig
 from codediffuser.datasets.importing.first_config import camera_name, guess_config
 from codediffuser.datasets.importing.survey import survey_source
 from codediffuser.errors import ConfigError
+from codediffuser.verbs.verb import console
 
 
 def test_the_survey_gives_types_rates_gaps_and_roles(tmp_path, bag):
@@ -82,3 +83,11 @@ def test_the_command_inspects_and_imports(tmp_path, bag, capsys, monkeypatch):
 def test_mistakes_in_the_configuration_are_named(changes, message, make_config):
     with pytest.raises(ConfigError, match=message):
         make_config(**changes)
+
+
+def test_a_table_in_a_file_keeps_every_name_and_number(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(console, "width", 60)
+    source, config = bag.write_rosbag2(tmp_path / "bag"), tmp_path / "import.yaml"
+    assert command(["import", str(source), "--inspect", "--config", str(config)]) == 0
+    (line,) = (x for x in capsys.readouterr().err.splitlines() if x.startswith("/cam/depth"))
+    assert line.split() == ["/cam/depth", "sensor_msgs/msg/Image", "depth", "60", "30.0"]
