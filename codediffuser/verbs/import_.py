@@ -48,6 +48,11 @@ class Import(Verb):
             return self._inspect()
         if self.out is None:
             raise ConfigError("import: give --out RUN, or --inspect to only look")
+        if not self.config.is_file():
+            raise ConfigError(
+                f"{self.config}: no such file; `codediffuser import {self.source} --inspect` "
+                "writes a first one"
+            )
         from codediffuser.datasets.importing.config import ImportConfig
         from codediffuser.datasets.importing.run import import_recordings
 

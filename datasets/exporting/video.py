@@ -29,6 +29,7 @@ SPEEDS = {"av1": "12", "h264": "veryfast", "hevc": "superfast"}
 CRF = {"av1": 30, "h264": 17, "hevc": 21}
 """Quality of each codec: AV1's is that of LeRobot's writer, the others come as near to the pictures
 (`exporting.bench` tells)."""
+WORST_CRF = {"av1": 63, "h264": 51, "hevc": 51}
 PIXEL_FORMAT = "yuv420p"
 
 
@@ -37,7 +38,7 @@ class VideoConfig(Strict):
 
     codec: Codec = "av1"
     """`av1` is the smallest; `h264` encodes fastest and opens everywhere."""
-    crf: int = Field(default=CRF["av1"], ge=0, le=63)
+    crf: int = Field(default=CRF["av1"], ge=0)
     """Constant quality; lower is better and larger. By default that of the codec."""
     key_frame_every: int = Field(default=2, ge=1)
 
@@ -48,6 +49,14 @@ class VideoConfig(Strict):
             codec = given.get("codec", "av1")
             return {**given, "crf": CRF.get(codec, CRF["av1"])}
         return given
+
+    @model_validator(mode="after")
+    def _check_quality(self) -> VideoConfig:
+        if self.crf > WORST_CRF[self.codec]:
+            raise ValueError(
+                f"{self.codec} has qualities from 0 to {WORST_CRF[self.codec]}, got {self.crf}"
+            )
+        return self
 
     @property
     def encoder_options(self) -> dict[str, str]:

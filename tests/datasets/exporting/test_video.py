@@ -10,6 +10,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from codediffuser.datasets.exporting.video import (
     Codec,
@@ -101,6 +102,12 @@ def test_quality_is_the_codecs_own_unless_chosen() -> None:
     assert VideoConfig().crf == 30
     assert VideoConfig(codec="h264", crf=40).crf == 40
     assert VideoConfig.model_validate({"codec": "hevc", "crf": None}) == VideoConfig(codec="hevc")
+
+
+def test_a_quality_that_the_codec_has_not_is_an_error() -> None:
+    assert VideoConfig(crf=63).crf == 63
+    with pytest.raises(ValidationError, match="h264 has qualities from 0 to 51, got 60"):
+        VideoConfig(codec="h264", crf=60)
 
 
 @pytest.mark.parametrize("codec", ["h264", "hevc"])
