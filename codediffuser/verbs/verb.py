@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 from rich.console import Console
@@ -27,6 +28,8 @@ NumEpisodes = Annotated[int, tyro.conf.arg(aliases=["-n"])]
 
 console = Console(stderr=True, highlight=False)
 """People read stderr; stdout carries only the result, so that scripts can."""
+TOLD_EVERY_S = 30.0
+"""How often a bar that is no terminal's prints a line."""
 WIDEST = 400
 """A table in a file has at most so many columns."""
 
@@ -52,6 +55,22 @@ def print_table(table: Table) -> None:
     Console(file=console.file, width=max(needed, console.width), highlight=False).print(table)
 
 
+class _Bars(Progress):
+    """Bars that also tell how far they are where nobody sees them move: in a file or a pipe."""
+
+    _told_at = 0.0
+
+    def update(self, *arguments: Any, **changes: Any) -> None:
+        super().update(*arguments, **changes)
+        if self.console.is_terminal or self.finished:
+            return
+        now = time.monotonic()
+        self._told_at = self._told_at or now
+        if now - self._told_at >= TOLD_EVERY_S:
+            self._told_at = now
+            self.console.print(self.make_tasks_table([t for t in self.tasks if not t.finished]))
+
+
 def stage_bars() -> Progress:
     """Return bars with counts, times and a `note` field, on stderr."""
 
@@ -59,7 +78,7 @@ def stage_bars() -> Progress:
     def whole(width: int) -> Column:
         return Column(min_width=width, no_wrap=True)
 
-    return Progress(
+    return _Bars(
         TextColumn("[bold]{task.description}", table_column=whole(11)),
         BarColumn(bar_width=16),
         MofNCompleteColumn(table_column=whole(9)),
