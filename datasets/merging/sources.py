@@ -138,10 +138,22 @@ def _check_agree(first: Source, other: Source) -> None:
             assert isinstance(mine, dict) and isinstance(its, dict)
             names = sorted(n for n in mine.keys() | its.keys() if mine.get(n) != its.get(n))
             what = f"these features differ from those in {first.root}: {', '.join(names)}"
+            if told := _first_difference(mine.get(names[0]), its.get(names[0])):
+                what += f" ({told})"
         raise DatasetError(
             f"{other.root / INFO}: {what}; only datasets that declare the same can be merged: "
             "convert the runs again with the same profile and options"
         )
+
+
+def _first_difference(mine: Any, its: Any, path: str = "") -> str:
+    """Where two declarations of one feature part; empty where one of them has none."""
+    if mine is None or its is None:
+        return ""
+    if isinstance(mine, dict) and isinstance(its, dict):
+        key = min(k for k in mine.keys() | its.keys() if mine.get(k) != its.get(k))
+        return _first_difference(mine.get(key), its.get(key), f"{path}{key} ")
+    return f"{path}is {its!r}, there it is {mine!r}"
 
 
 def _check_files(source: Source) -> None:

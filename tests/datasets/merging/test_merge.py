@@ -178,7 +178,11 @@ def test_verification_finds_a_changed_number(halves, tmp_path):
     [
         (lambda info: info.update(fps=30), "fps is 30"),
         (lambda info: info.update(robot_type="ur5"), "robot_type is 'ur5'"),
-        (lambda info: info["features"].pop("action"), "features differ.*: action"),
+        (lambda info: info["features"].pop("action"), "features differ.*: action;"),
+        (
+            lambda info: info["features"]["action"].update(dtype="float64"),
+            r"features differ.*: action \(dtype is 'float64', there it is 'float32'\);",
+        ),
     ],
 )
 def test_datasets_that_declare_different_things_are_refused(halves, tmp_path, change, message):
