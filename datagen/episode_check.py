@@ -28,10 +28,6 @@ BLACK = 8
 """A picture whose brightest value of 255 is below this shows nothing."""
 FROZEN_S = 1.0
 """A camera that repeats itself for longer hangs, if something moved meanwhile."""
-FROZEN_REMEDY = (
-    "check the camera and its cable; record the episode again, or leave it out; if a simulator was "
-    "recorded, say 'source: simulation' in import.yaml"
-)
 STILL_M = 0.10
 """The hand cannot cross this much of the scene unseen by a working camera."""
 
@@ -154,11 +150,12 @@ def _check_pictures(episode: Episode) -> Iterator[Finding]:
         yield Finding("episode.black", log, what, remedy)
     if episode.manifest.source == "simulation":
         return  # Rendered pictures have no noise: they repeat where the camera sees nothing move.
+    remedy += "; if a simulator was recorded, say 'source: simulation' in import.yaml"
     for name, same in repeats.items():
         first, count = longest_repeat(same)
         if count > FROZEN_S * episode.manifest.hz and _travelled_m(episode, first, count) > STILL_M:
             what = f"camera '{name}': the same picture {count} times in a row from frame {first} on"
-            yield Finding("episode.frozen", log, f"{what}, while the hand moved", FROZEN_REMEDY)
+            yield Finding("episode.frozen", log, f"{what}, while the hand moved", remedy)
 
 
 def longest_repeat(same_as_last: Sequence[bool]) -> tuple[int, int]:

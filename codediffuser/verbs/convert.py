@@ -33,7 +33,8 @@ class Convert(Verb):
     colour, depth, masks, calibration. masked-rgb: colour where attention is. Default: pointcloud
     for lerobot and zarr, portable for the others."""
     codec: Literal["av1", "h264", "hevc"] = "av1"
-    """Of videos. h264 encodes fastest, av1 is smallest; by default both look the same."""
+    """Of videos. h264 encodes fastest, av1 is smallest; by default all come as near to the
+    pictures."""
     crf: int | None = None
     """Quality of videos: lower is better and larger. Default: 30 for av1, 17 for h264, 21 for
     hevc."""

@@ -11,6 +11,7 @@ from typing import Annotated, Any, TypeVar
 
 import tyro
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -51,7 +52,7 @@ def print_table(table: Table) -> None:
     if console.is_terminal:
         console.print(table)
         return
-    needed = table.__rich_measure__(console, console.options.update(max_width=WIDEST)).maximum
+    needed = Measurement.get(console, console.options.update(max_width=WIDEST), table).maximum
     Console(file=console.file, width=max(needed, console.width), highlight=False).print(table)
 
 

@@ -30,7 +30,7 @@ from codediffuser.datasets.export_meta import (
     load_info,
     require_features,
 )
-from codediffuser.datasets.features import ACTION, LABELS, STATE, depth_key, mask_key
+from codediffuser.datasets.features import ACTION, LABELS, PROGRAM, STATE, depth_key, mask_key
 from codediffuser.datasets.stats import Stats
 from codediffuser.errors import CodeDiffuserError
 
@@ -86,4 +86,7 @@ def _is_masked(info: Mapping[str, Any], document: DatasetDocument | None) -> boo
     names = info["features"]
     if any(name.startswith((mask_key(""), depth_key(""))) for name in names):
         return False
-    return True if LABELS in names else None
+    if LABELS in names:
+        return True
+    # Without labels only our own exports are in doubt: those have programs.
+    return None if PROGRAM in names else False
